@@ -1,0 +1,29 @@
+# Everything this makes stays in the checkout: .venv, build, install, log and runs.
+# PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest.
+.PHONY: help setup demo test lock clean
+export PYTHON
+
+help:
+	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
+	@echo 'make test    run every test'
+	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
+	@echo 'make lock    resolve the lock files in requirements/ anew (needs uv)'
+	@echo 'make clean   remove all of it but runs/'
+
+setup:
+	@setup_tools/setup make
+
+demo: setup
+	@. ./activate && exec ros2 run tss_ros demo
+
+test: setup
+	@. ./activate && exec python -m pytest $(PYTEST)
+
+UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
+	--no-emit-index-url --custom-compile-command 'make lock'
+lock:
+	$(UV) setup.py --extra dev -o requirements/python.txt
+	$(UV) requirements/ros.in -c requirements/python.txt -o requirements/ros.txt
+
+clean:
+	rm -rf .venv build install log

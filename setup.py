@@ -1,0 +1,57 @@
+"""Package tss_ros, for colcon (ament_python) and for pip alike."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+EXECUTABLES = ("sim_node", "stability_node", "logger_node", "stability", "review", "demo")
+
+setup(
+    name="tss_ros",
+    version="0.1.0",
+    description="Spinning tethered satellite formations in ROS 2: simulation and Floquet stability",
+    license="Apache-2.0",
+    maintainer="tss_ros maintainers",
+    maintainer_email="maintainers@tss-ros.example",
+    python_requires=">=3.10,<3.14",
+    packages=find_packages(include=["tss_ros", "tss_ros.*"]),
+    package_data={"tss_ros": ["scenarios/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/tss_ros"]),
+        ("share/tss_ros", ["package.xml"]),
+        ("share/tss_ros/msg_configs", glob("msg_configs/*.yaml")),
+    ],
+    zip_safe=False,
+    entry_points={"console_scripts": [f"{name} = tss_ros.{name}:main" for name in EXECUTABLES]},
+    # rclpy and the message packages come with ROS 2 and are declared in package.xml.
+    install_requires=[
+        "numpy>=2.0",
+        "scipy>=1.13",
+        "numba>=0.60",
+        "PyYAML>=6.0",
+        "mcap>=1.6",
+        "mcap-ros2-support>=0.6",
+        "lz4>=4.3",
+        "matplotlib>=3.8.4",
+        "rerun-sdk>=0.39",
+    ],
+    extras_require={
+        # what `make` needs besides: tests and checks, then colcon
+        "dev": [
+            "pytest>=8",
+            "hypothesis>=6.100",
+            "rosbags>=0.11",
+            "import-linter>=2.15",
+            "ruff>=0.15",
+            "colcon-ros>=0.5",
+            "colcon-bash>=0.5",
+            "colcon-zsh>=0.5",
+            "colcon-library-path>=0.2",
+            "colcon-output>=0.2",
+            "colcon-package-selection>=0.2",
+            "colcon-parallel-executor>=0.4",
+            "setuptools>=69,<80",  # later ones lack the `develop` options that colcon uses
+            "empy>=3.3,<4",  # the message generators of Jazzy are written for empy 3
+        ],
+    },
+)

@@ -1,0 +1,26 @@
+"""The ROS environment of a test run: this machine only, and a domain of its own."""
+
+import os
+import random
+import socket
+
+
+def _reserve_domain_id():
+    """Return a ROS domain ID that no other test run has, and the socket that keeps it reserved.
+
+    A bound port stands for a domain, with the port numbers of ROS 2's own `domain_coordinator`, so
+    that its test runs are kept clear of as well.
+    """
+    for domain_id in random.sample(range(1, 101), 100):
+        reservation = socket.socket()
+        try:
+            reservation.bind(("127.0.0.1", 32768 + domain_id))
+            return domain_id, reservation
+        except OSError:
+            reservation.close()
+    raise RuntimeError("all ROS domain IDs from 1 to 100 are taken by other test runs")
+
+
+DOMAIN_ID, _reservation = _reserve_domain_id()
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -1,0 +1,129 @@
+"""How a simulator keeps step with its recorders, without any middleware."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+from ros_harness import wait_until
+
+from tss_ros import flow_control
+from tss_ros.flow_control import FlowControl
+
+WINDOW = 10
+
+
+class Run:
+    """A flow control whose simulator publishes as fast as it may, in a thread."""
+
+    def __init__(self):
+        self.warnings = []
+        self.flow = FlowControl(WINDOW, SimpleNamespace(warning=self.warnings.append))
+        self.ended = threading.Event()
+        self._thread = threading.Thread(target=self._publish, daemon=True)
+
+    def start(self, last):
+        self._last = last
+        self._thread.start()
+
+    def report(self, last_step, output="a", recording=True, matched=True):
+        self.flow.on_status(
+            SimpleNamespace(
+                output=output, recording=recording, matched=matched, last_step=last_step
+            )
+        )
+
+    def reaches(self, step):
+        wait_until(lambda: self.flow.published >= step, 5, f"step {step}")
+
+    def stays_at(self, step):
+        """Whether the simulator waits at `step`, told by its not having ended long after."""
+        self.reaches(step)
+        self.ended.wait(0.2)
+        return self.flow.published == step
+
+    def _publish(self):
+        while self.flow.published < self._last:
+            self.flow.wait()
+            self.flow.published += 1
+        self.ended.set()
+
+
+@pytest.fixture
+def run():
+    run = Run()
+    yield run
+    run.flow.stop()
+    if run._thread.is_alive():
+        run._thread.join(5)
+
+
+def test_without_recorders_nothing_holds_it(run):
+    run.start(1_000_000)
+    assert run.ended.wait(20)
+
+
+def test_it_stays_within_the_window_of_the_slowest_recorder(run):
+    run.report(-1)
+    run.report(-1, output="b")
+    run.start(100)
+    # Nothing was published when the recorders came, so they are taken to stand before step 0.
+    assert run.stays_at(-1 + WINDOW)
+    run.report(5)
+    run.report(9, output="b")
+    assert run.stays_at(5 + WINDOW)
+    run.report(0, output="b", recording=False)
+    run.report(89)
+    assert run.ended.wait(5)
+
+
+def test_a_recorder_that_is_not_connected_does_not_count(run):
+    run.report(-1, matched=False)
+    run.start(1000)
+    assert run.ended.wait(5)
+
+
+def test_reports_about_an_earlier_run_count_from_now(run):
+    run.report(123_456)
+    run.start(100)
+    assert run.stays_at(-1 + WINDOW)
+    run.report(95)
+    assert run.stays_at(-1 + WINDOW)
+    run.report(7)
+    assert run.stays_at(7 + WINDOW)
+
+
+def test_a_recorder_that_gets_nothing_holds_it_only_for_a_while(run, monkeypatch):
+    monkeypatch.setattr(flow_control, "JOIN_S", 0.1)
+    run.start(3 * WINDOW)
+    while not run.ended.wait(0.02):
+        run.report(-1)
+    assert not run.warnings
+
+
+def test_a_silent_recorder_is_given_up(run, monkeypatch):
+    monkeypatch.setattr(flow_control, "SILENCE_S", 0.3)
+    run.report(-1)
+    begun = time.monotonic()
+    run.start(100)
+    assert run.ended.wait(5)
+    assert time.monotonic() - begun > 0.25
+    assert len(run.warnings) == 1 and "'a' is silent" in run.warnings[0]
+
+
+def test_recorders_that_left_are_forgotten(run):
+    run.report(-1)
+    run.start(100)
+    assert run.stays_at(-1 + WINDOW)
+    run.flow.on_recorders_gone()
+    assert run.ended.wait(5)
+
+
+def test_the_end_waits_for_the_recorders_but_not_forever(run):
+    run.report(-1)
+    run.flow.published = 3
+    begun = time.monotonic()
+    assert not run.flow.wait_for_end(0.3)
+    assert time.monotonic() - begun >= 0.3
+    run.report(3)
+    assert run.flow.wait_for_end(5)

@@ -1,0 +1,240 @@
+"""Bags without nodes: what is written can be read, by others too, and what is broken is refused."""
+
+import array
+
+import numpy as np
+import pytest
+from mcap.exceptions import McapError
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from std_msgs.msg import Header
+from tss_interfaces.msg import BeadStates, SystemDescription, TetherStates
+
+from tss_ros.core import TssError, initial_state, ring
+from tss_ros.recording import BagWriter, read_bag, stamp_ns, step_number
+from tss_ros.topics import read_topics
+from tss_ros.translate import StepMessages, stamp, system_description
+
+TOPICS = read_topics()
+NUMBERS = np.random.default_rng(3)
+
+
+class Bag:
+    """A writer with the topics that carry numbers, and messages of two beads and one tether."""
+
+    def __init__(self, directory):
+        self.writer = BagWriter(directory, "jazzy")
+        self.written = []
+        self._channel = {
+            name: self.writer.add_topic(
+                f"/{name}", topic.type, topic.definition, topic.type_hash, topic.offered_qos
+            )
+            for name, topic in TOPICS.items()
+            if name in ("system_description", "bead_states", "tether_states")
+        }
+
+    def describe(self):
+        self.write(
+            "system_description",
+            SystemDescription(
+                header=Header(frame_id="orbit"),
+                scenario="pair",
+                bead_name=["a", "bb"],
+                is_satellite=[True, False],
+                mass_kg=[1.0, 2.0],
+                tether_name=["t"],
+                tether_ends=array.array("I", [0, 1]),
+                rest_length_m=[10.0],
+                axial_stiffness_n=[20.0],
+                damping_n_s_per_m=[30.0],
+                orbit_altitude_m=5e5,
+                orbit_rate_rad_s=1e-3,
+                spin_rate_ratio=-2.0,
+                reference_radius_m=[3.0, 4.0],
+                disturbance_m=0.5,
+                disturbance_seed=8,
+                publish_period_s=0.25,
+            ),
+            0,
+        )
+
+    def step(self, number, with_tether=True):
+        time_ns = number * 250_000_000
+        header = Header(stamp=stamp(time_ns), frame_id="orbit")
+        beads = BeadStates(
+            header=header,
+            step=number,
+            name=["a", "bb"],
+            position_m=NUMBERS.normal(size=6).tolist(),
+            velocity_m_s=NUMBERS.normal(size=6).tolist(),
+            deviation=NUMBERS.normal(size=2).tolist(),
+        )
+        tethers = TetherStates(
+            header=header,
+            step=number,
+            name=["t"],
+            length_m=NUMBERS.normal(size=1).tolist(),
+            tension_n=NUMBERS.normal(size=1).tolist(),
+            taut=[bool(number % 2)],
+        )
+        self.write("bead_states", beads, time_ns)
+        if with_tether:
+            self.write("tether_states", tethers, time_ns)
+        self.written.append((beads, tethers))
+
+    def write(self, name, message, time_ns):
+        data = bytes(serialize_message(message))
+        self.writer.write(self._channel[name], data, time_ns, time_ns, 0)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    return Bag(tmp_path / "some" / "bag")
+
+
+def test_reading_gives_back_what_was_written(bag):
+    bag.describe()
+    for number in range(100):
+        bag.step(number)
+    bag.writer.close()
+    assert sorted(path.name for path in bag.writer.directory.iterdir()) == [
+        "bag_0.mcap",
+        "metadata.yaml",
+    ]
+    for path in (bag.writer.directory, bag.writer.path):
+        recording = read_bag(path)
+        assert recording.scenario == "pair"
+        assert recording.bead_name == ("a", "bb") and recording.tether_name == ("t",)
+        assert recording.is_satellite.tolist() == [True, False]
+        assert recording.tether_ends.tolist() == [[0, 1]]
+        assert recording.mass_kg.tolist() == [1.0, 2.0]
+        assert recording.reference_radius_m.tolist() == [3.0, 4.0]
+        assert recording.damping_n_s_per_m.tolist() == [30.0]
+        assert (recording.disturbance_m, recording.disturbance_seed) == (0.5, 8)
+        assert recording.step.tolist() == list(range(100))
+        np.testing.assert_allclose(recording.t_s, 0.25 * np.arange(100), rtol=1e-15)
+        # -2 Omega at 1e-3 rad/s: 24.75 s are 0.0495 rad.
+        assert recording.turns[-1] == pytest.approx(0.0495 / (2 * np.pi))
+        for field in ("position_m", "velocity_m_s", "deviation"):
+            sent = [getattr(beads, field) for beads, _ in bag.written]
+            np.testing.assert_array_equal(getattr(recording, field).reshape(100, -1), sent)
+        for field in ("length_m", "tension_n", "taut"):
+            sent = [getattr(tethers, field) for _, tethers in bag.written]
+            np.testing.assert_array_equal(getattr(recording, field), sent)
+        assert recording.position_m.shape == (100, 2, 3)
+        assert recording.taut.dtype == bool
+
+
+def test_only_whole_steps_are_read(bag):
+    bag.describe()
+    for number in range(10):
+        bag.step(number, with_tether=number != 4)
+    bag.writer.close()
+    assert read_bag(bag.writer.path).step.tolist() == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+
+
+def test_counts_and_times_stand_in_the_metadata(bag):
+    bag.describe()
+    for number in range(4, 9):
+        bag.step(number)
+    bag.writer.close()
+    assert bag.writer.message_count == 11
+    with AnyReader([bag.writer.directory]) as reader:
+        assert reader.message_count == 11
+        assert {c.topic: c.msgcount for c in reader.connections} == {
+            "/system_description": 1,
+            "/bead_states": 5,
+            "/tether_states": 5,
+        }
+        assert (reader.start_time, reader.end_time - 1) == (0, 2_000_000_000)
+
+
+def test_an_empty_bag_is_a_whole_bag(bag):
+    bag.writer.close()
+    with AnyReader([bag.writer.directory]) as reader:
+        assert reader.message_count == 0
+    with pytest.raises(TssError, match="SystemDescription"):
+        read_bag(bag.writer.directory)
+
+
+def test_what_was_flushed_survives_the_recorder(bag):
+    bag.describe()
+    for number in range(50):
+        bag.step(number)
+    bag.writer.flush()
+    bag.step(50)
+    found = []
+    with bag.writer.path.open("rb") as stream, pytest.raises(McapError):
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                found += breakup_chunk(record, validate_crc=True)
+    assert sum(isinstance(record, Message) for record in found) == 101
+
+
+def test_a_cut_file_is_refused_in_words(bag):
+    bag.describe()
+    bag.step(0)
+    bag.writer.flush()
+    with pytest.raises(TssError, match="bag_0.mcap' is not a complete MCAP file"):
+        read_bag(bag.writer.path)
+
+
+def test_other_files_are_refused_in_words(tmp_path):
+    (tmp_path / "notes.mcap").write_text("not a recording, but long enough to look like one")
+    with pytest.raises(TssError, match="notes.mcap' is not a complete MCAP file"):
+        read_bag(tmp_path / "notes.mcap")
+    with pytest.raises(TssError, match="missing' cannot be read: No such file"):
+        read_bag(tmp_path / "missing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(TssError, match="empty' holds no .mcap file"):
+        read_bag(tmp_path / "empty")
+
+
+def test_two_runs_in_one_bag_are_refused(bag):
+    bag.describe()
+    for number in (0, 1, 2, 0, 1):
+        bag.step(number)
+    bag.writer.close()
+    with pytest.raises(TssError, match="more than once"):
+        read_bag(bag.writer.directory)
+
+
+def test_an_existing_directory_is_never_written_to(tmp_path):
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(TssError, match="bag' exists already"):
+        BagWriter(tmp_path / "bag", "jazzy")
+    assert list((tmp_path / "bag").iterdir()) == []
+
+
+@pytest.mark.parametrize("frame_id", ["", "o", "orbit", "a_long_frame_name"])
+def test_numbers_are_found_in_serialised_messages(frame_id):
+    header = Header(stamp=stamp(12_345_678_901_234), frame_id=frame_id)
+    for message in (BeadStates(header=header, step=2**40 + 7), TetherStates(header=header, step=9)):
+        data = bytes(serialize_message(message))
+        assert step_number(data) == message.step
+        assert stamp_ns(data) == 12_345_678_901_234
+
+
+def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
+    system = ring()
+    state = initial_state(system, -2.5)
+    make = StepMessages(system, np.ones(3))
+    ones = np.ones(3)
+    time_ns = 98_765_432_100
+    messages = {
+        "bead_states": make.bead_states(4, time_ns, state.position_m, state.velocity_m_s, ones),
+        "tether_states": make.tether_states(4, time_ns, ones, ones, ones > 0),
+        "markers": make.markers(time_ns, state.position_m, ones, ones > 0),
+        "bead_cloud": make.bead_cloud(time_ns, state.position_m, state.velocity_m_s, ones),
+        "tether_lengths": make.tether_lengths(time_ns, ones, ones),
+    }
+    for name, message in messages.items():
+        data = bytes(serialize_message(message))
+        assert stamp_ns(data, TOPICS[name].stamp_offset) == time_ns, name
+    simulation = {"disturbance_m": 0.0, "disturbance_seed": 0, "publish_period_s": 1.0}
+    described = system_description(system, "three_star", -2.5, ones, simulation)
+    assert stamp_ns(bytes(serialize_message(described)), 4) == 0
+    recorded = {name for name, topic in TOPICS.items() if topic.recorded}
+    assert recorded == {*messages, "system_description"}

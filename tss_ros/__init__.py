@@ -1,0 +1,1 @@
+"""Tethered satellite systems: dynamics, Floquet stability, ROS 2 nodes."""

@@ -1,0 +1,37 @@
+"""Dynamics and stability of spinning tethered satellite systems; usable without ROS.
+
+SI units. States are (n, 3) arrays in the orbit frame: y radially up, z along the orbit normal.
+"""
+
+from tss_ros.core.errors import Cancelled, IntegrationError, TssError
+from tss_ros.core.floquet import FAMILIES, METHODS, VERDICTS, FloquetResult, compute_floquet
+from tss_ros.core.forces import tether_state
+from tss_ros.core.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
+from tss_ros.core.motion import Propagator
+from tss_ros.core.steady_state import averaged_state, deviation, disturbed, initial_state
+from tss_ros.core.system import State, System
+
+__all__ = [
+    "FAMILIES",
+    "FORMATIONS",
+    "METHODS",
+    "VERDICTS",
+    "Cancelled",
+    "FloquetResult",
+    "IntegrationError",
+    "Propagator",
+    "Satellite",
+    "State",
+    "System",
+    "Tether",
+    "TssError",
+    "assemble",
+    "averaged_state",
+    "compute_floquet",
+    "deviation",
+    "disturbed",
+    "formation",
+    "initial_state",
+    "ring",
+    "tether_state",
+]

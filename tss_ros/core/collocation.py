@@ -1,0 +1,99 @@
+"""Coefficients of the Radau IIA collocation methods, any odd number of stages (order 2 s - 1).
+
+Reference: E. Hairer and G. Wanner, "Stiff differential equations solved by Radau methods",
+J. Comput. Appl. Math. 111 (1999) 93-111.
+"""
+
+from collections import namedtuple
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.special import comb
+
+#: c (s,): nodes. a, a_inverse (s,s). real_value, value (p,): the real eigenvalue of a_inverse and
+#: those with positive imaginary part, s = 2 p + 1. real_left, left and real_right, right: rows of
+#: the inverse eigenvector matrix and columns of the eigenvector matrix. error (s,): weights of the
+#: stage increments in the error estimate. power (s+1,s+1): from a polynomial's values at (0, c) to
+#: its monomial coefficients. bernstein (s+1,s+1): the same to Bernstein coefficients on [0, 1].
+Tables = namedtuple(
+    "Tables",
+    "stages c a a_inverse real_value value real_left left real_right right error power bernstein",
+)
+
+
+@lru_cache(maxsize=None)
+def radau(stages):
+    """Coefficients of the Radau IIA method.
+
+    Parameters
+    ----------
+    stages : int
+        Odd number of stages s from 3 to 9; the order is 2 s - 1.
+
+    Returns
+    -------
+    Tables
+    """
+    if stages % 2 == 0 or not 3 <= stages <= 9:
+        raise ValueError(f"stages must be 3, 5, 7 or 9, got {stages}")
+    c = _nodes(stages)
+    gauss, weight = np.polynomial.legendre.leggauss(stages)
+    at_nodes = legendre.legvander(2.0 * c - 1.0, stages - 1)
+    points = 0.5 * c[:, None] * (gauss + 1.0)
+    integrals = 0.5 * c[:, None] * np.einsum(
+        "g,igk->ik", weight, legendre.legvander(2.0 * points - 1.0, stages - 1)
+    )
+    a = np.linalg.solve(at_nodes.T, integrals.T).T
+    a_inverse = np.linalg.inv(a)
+
+    value, right = np.linalg.eig(a_inverse)
+    left = np.linalg.inv(right)
+    real = np.argmin(abs(value.imag))
+    upper = np.flatnonzero(value.imag > 1e-8 * abs(value))
+    upper = upper[np.argsort(value[upper].imag)]
+    phase = right[0, real] / abs(right[0, real])
+
+    # The embedded formula adds f(x0) with weight 1 / real_value so that it has order s.
+    powers = np.vander(c, stages, increasing=True).T
+    wanted = 1.0 / np.arange(1, stages + 1)
+    wanted[0] -= 1.0 / value[real].real
+    embedded = np.linalg.solve(powers, wanted)
+    error = value[real].real * (a_inverse.T @ (embedded - a[-1]))
+
+    grid = np.concatenate([[0.0], c])
+    monomial = np.linalg.inv(np.vander(grid, stages + 1, increasing=True))
+    return Tables(
+        stages,
+        c,
+        a,
+        a_inverse,
+        value[real].real,
+        value[upper].copy(),
+        (left[real] * phase).real.copy(),
+        left[upper].copy(),
+        (right[:, real] / phase).real.copy(),
+        right[:, upper].T.copy(),
+        error,
+        monomial,
+        _bernstein(stages) @ monomial,
+    )
+
+
+def _nodes(stages):
+    """Zeros of P_s - P_(s-1) on [0, 1], refined by Newton's method in extended precision."""
+    series = np.zeros(stages + 1)
+    series[stages], series[stages - 1] = 1.0, -1.0
+    x = np.sort(legendre.legroots(series).real).astype(np.longdouble)
+    slope = legendre.legder(series)
+    for _ in range(3):
+        inner = x[:-1]
+        x[:-1] = inner - legendre.legval(inner, series) / legendre.legval(inner, slope)
+    x[-1] = 1.0
+    return ((x + 1.0) / 2.0).astype(float)
+
+
+def _bernstein(degree):
+    """Matrix from monomial to Bernstein coefficients on [0, 1]."""
+    i, k = np.mgrid[0 : degree + 1, 0 : degree + 1]
+    return np.where(k <= i, comb(i, k) / comb(degree, k), 0.0)

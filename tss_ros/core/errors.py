@@ -1,0 +1,13 @@
+"""Errors of the core: one base, with messages that name the thing, its value and what is allowed."""
+
+
+class TssError(ValueError):
+    """Base of every error the core raises; its text is ready to be shown to a user."""
+
+
+class IntegrationError(TssError):
+    """The motion could not be continued (the text says where it stopped and why)."""
+
+
+class Cancelled(TssError):
+    """The caller asked a long computation to stop."""

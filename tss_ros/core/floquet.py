@@ -1,0 +1,325 @@
+"""Floquet multipliers of a spinning formation: true, Eqs. (12)-(27), and frozen, Eqs. (34)-(47)."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tss_ros.core import blocklu, forces
+from tss_ros.core.errors import TssError
+from tss_ros.core.motion import Flow
+from tss_ros.core.periodic import closure_residual, corrected, to_scaled, turn
+from tss_ros.core.steady_state import initial_state
+from tss_ros.core.system import State
+
+METHODS = ("monodromy", "frozen")
+FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
+VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion")
+
+#: Largest scaled closure residual of a motion that is still called periodic.
+LARGEST_CLOSURE = 1e-3
+#: Smallest distance from the unit circle that is ever called one.
+SMALLEST_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class FloquetResult:
+    """Multipliers at one spin rate, with what is known of their accuracy.
+
+    Attributes
+    ----------
+    method : str
+        "monodromy" or "frozen".
+    spin_rate_ratio : float
+        w = omega / Omega.
+    spin_rate_rad_s, period_s : float
+        omega [rad/s] and T = 2 pi / |omega| [s].
+    multiplier : ndarray, shape (6n,), complex
+        Largest modulus first.
+    family : tuple of str, length 6n
+        One of `FAMILIES` for each multiplier.
+    max_modulus, max_modulus_nontrivial : float
+        Over all, and over those of axis tilt and shape.
+    verdict : str
+        One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
+        the centre of mass never decay, so Eq. (47) cannot hold for them.
+    tolerance : float
+        Distance from the unit circle that the verdict counts as lying on it.
+    closure_residual : float
+        |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
+        speed.
+    initial_closure_residual : float
+        The same for the start as given, before any correction.
+    trivial_error : float
+        Largest distance from the unit circle of the four simple centre-of-mass multipliers
+        exp(+-i Omega T), which theory puts on it. NaN for "frozen".
+    jordan_error : float
+        The same for the multipliers at 1 that come in Jordan blocks; about the square root of the
+        matrix's error. A distance beyond twice the square root of the closure residual is no
+        such split, and the motion is called unstable. NaN for "frozen".
+    det_z_error : float
+        |det Z - 1| of the out-of-plane block of a planar motion; NaN otherwise or for "frozen".
+    flow_error : float
+        Scaled error of M f(x(0)) = f(x(T)), which holds on every motion of the autonomous orbit
+        frame, closed or not, and through every switch. NaN for "frozen".
+    switches : int
+        Slack/taut switches in the turn.
+    state : State
+        Start of the motion analysed.
+    message : str
+        Remarks for the reader.
+    """
+
+    method: str
+    spin_rate_ratio: float
+    spin_rate_rad_s: float
+    period_s: float
+    multiplier: np.ndarray
+    family: tuple
+    max_modulus: float
+    max_modulus_nontrivial: float
+    verdict: str
+    tolerance: float
+    closure_residual: float
+    initial_closure_residual: float
+    trivial_error: float
+    jordan_error: float
+    det_z_error: float
+    flow_error: float
+    switches: int
+    state: State = field(repr=False)
+    message: str = ""
+
+
+def compute_floquet(
+    system, spin_rate_ratio, method="monodromy", state=None, correct=True, rtol=1e-9,
+    cancelled=None,
+):
+    """Floquet multipliers at one spin rate.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+        w = omega / Omega, negative for clockwise.
+    method : str
+        "monodromy": variational equations along the motion over one turn, Eqs. (12)-(27).
+        "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
+        paper's analytic method; it shows no critical rate.
+    state : State, optional
+        Start; `initial_state` if not given.
+    correct : bool
+        Correct the start to a periodic motion first ("monodromy" only).
+    rtol : float
+        Accuracy aimed at in state and matrix.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Returns
+    -------
+    FloquetResult
+        Also where no periodic motion exists: that is a verdict, not an error.
+
+    Raises
+    ------
+    TssError
+        For a value that is not allowed, or if no configuration to start from exists.
+    IntegrationError
+        If the motion could not be integrated over one turn.
+    Cancelled
+        If `cancelled` said so.
+    """
+    if method not in METHODS:
+        raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    spin = system.spin_rate_rad_s(spin_rate_ratio)
+    origin = "as given"
+    if state is None:
+        state = initial_state(system, spin_rate_ratio)
+        origin = state.origin
+    length = np.max(np.linalg.norm(state.position_m, axis=1))
+    flow = Flow(system, spin, rtol, length)
+    initial_closure, switches = closure_residual(flow, state, cancelled)
+    if method == "frozen":
+        return _frozen(flow, state, initial_closure, switches, origin)
+    latest = (corrected if correct else turn)(flow, state, cancelled)
+    multiplier, vectors = np.linalg.eig(latest.matrix)
+    family = label(system, latest.start, vectors)
+    on_circle = np.abs(np.abs(multiplier) - 1.0)
+    centre = np.flatnonzero(family == FAMILIES[0])
+    far_from_one = centre[np.argsort(-np.abs(multiplier[centre] - 1.0))]
+    trivial = float(np.max(on_circle[far_from_one[:4]]))
+    jordan = float(np.max(on_circle[np.append(far_from_one[4:], np.flatnonzero(family == "spin"))]))
+    tolerance = max(SMALLEST_TOLERANCE, 10.0 * trivial)
+    closure = latest.closure_residual
+    jordan_tolerance = 2.0 * math.sqrt(closure + np.finfo(float).eps)
+    periodic = closure <= LARGEST_CLOSURE or not correct
+    return _result(
+        "monodromy", flow, multiplier, family, tolerance, periodic, jordan > jordan_tolerance,
+        closure_residual=closure,
+        initial_closure_residual=initial_closure,
+        trivial_error=trivial,
+        jordan_error=jordan,
+        det_z_error=_det_z_error(latest),
+        flow_error=_flow_error(latest),
+        switches=latest.switches,
+        state=latest.start,
+        message=_remark(origin, initial_closure, latest, correct, periodic),
+    )
+
+
+def _remark(origin, initial_closure, latest, correct, periodic):
+    words = f"start from {origin}"
+    if correct:
+        words += f", corrected from closure residual {initial_closure:.1e}"
+    if latest.switches:
+        words += f"; {latest.switches} slack/taut switches in the turn"
+    if not periodic:
+        words += "; shooting found no motion that closes, the multipliers are those of its best turn"
+    return words
+
+
+def _frozen(flow, state, closure, switches, origin):
+    """Eqs. (34)-(47): the multipliers are exp(lambda T) for the eigenvalues lambda of J_0.
+
+    A defective J_0 (43)-(45) only changes the vectors: P(T) still has these eigenvalues.
+    """
+    matrix = frozen_jacobian(flow.system, state, flow.control.speed, flow.control.length)
+    value, vectors = np.linalg.eig(matrix)
+    period = 2.0 * math.pi / abs(flow.plant.spin)
+    family = label(flow.system, state, vectors)
+    return _result(
+        "frozen", flow, np.exp(value * period), family, 1e-3, True, False,
+        closure_residual=closure,
+        initial_closure_residual=closure,
+        trivial_error=math.nan,
+        jordan_error=math.nan,
+        det_z_error=math.nan,
+        flow_error=math.nan,
+        switches=switches,
+        state=state,
+        message=f"start from {origin}; a turning configuration treated as if it stood still,"
+        " its verdict says little about the motion",
+    )
+
+
+def _result(method, flow, multiplier, family, tolerance, periodic, drifting, **rest):
+    order = np.argsort(-np.abs(multiplier), kind="stable")
+    multiplier, family = multiplier[order], family[order]
+    modulus = np.abs(multiplier)
+    shape = modulus[family == "shape"]
+    nontrivial = modulus[(family == "shape") | (family == "axis tilt")]
+    largest = float(np.max(nontrivial, initial=0.0))
+    if not periodic:
+        verdict = "no periodic motion"
+    elif largest > 1.0 + tolerance or drifting:
+        verdict = "unstable"
+    elif shape.size and np.max(shape) < 1.0 - tolerance:
+        verdict = "asymptotically stable"
+    else:
+        verdict = "neutral"
+    spin = flow.plant.spin
+    return FloquetResult(
+        method, spin / flow.system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin), multiplier,
+        tuple(str(name) for name in family), float(modulus[0]), largest, verdict, tolerance, **rest,
+    )
+
+
+def frozen_jacobian(system, state, speed=1.0, length=1.0):
+    """J_0 = dF/dx of Eq. (52) in the orbit frame at t = 0, states ordered as in Eq. (29).
+
+    Parameters
+    ----------
+    system : System
+    state : State
+    speed, length : float
+        Units of velocity [m/s] and position [m]; 1 gives SI.
+
+    Returns
+    -------
+    ndarray, shape (6n, 6n)
+        [1/s] in these units.
+    """
+    n = system.n
+    plant = forces.plant(system, 0.0)
+    symbolic = blocklu.analyse(n, system.tether_ends)
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    taut = forces.tether_state(system, state.position_m, state.velocity_m_s)[2] | system.bilateral
+    forces.jacobian(
+        plant, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
+    )
+    matrix = np.zeros((2, n, 3, 2, n, 3))
+    matrix[0, symbolic.row, :, 0, symbolic.column, :] = by_v
+    matrix[0, symbolic.row, :, 1, symbolic.column, :] = by_r * (length / speed)
+    matrix = matrix.reshape(6 * n, 6 * n)
+    matrix[3 * n :, : 3 * n] = np.eye(3 * n) * (speed / length)
+    return matrix
+
+
+def label(system, state, vectors):
+    """Family of every eigenvector, by the share of its motion that is rigid.
+
+    Parameters
+    ----------
+    system : System
+    state : State
+        At which the vectors are taken.
+    vectors : ndarray, shape (6n, k), complex
+        Columns in scaled coordinates, velocities first.
+
+    Returns
+    -------
+    ndarray, shape (k,), str
+        Values of `FAMILIES`. A planar formation has 6, 2, 4 and 6n - 12 of them.
+    """
+    n = system.n
+    weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
+    centre = np.average(state.position_m, axis=0, weights=system.mass_kg)
+    arm = (state.position_m - centre) / np.max(np.linalg.norm(state.position_m, axis=1))
+    axes = np.eye(3)
+    fields = [
+        [np.tile(axis, (n, 1)) for axis in axes],
+        [np.cross(axes[2], arm)],
+        [np.cross(axes[0], arm), np.cross(axes[1], arm)],
+    ]
+    found, share, room = np.empty((3 * n, 0)), [], []
+    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
+    for family in fields:
+        basis = np.stack([(weight * f).ravel() for f in family], axis=1)
+        basis -= found @ (found.T @ basis)
+        left, size, _ = np.linalg.svd(basis, full_matrices=False)
+        basis = left[:, size > 1e-6 * math.sqrt(n)]
+        found = np.concatenate([found, basis], axis=1)
+        share.append(np.sum(np.abs(basis.T @ halves) ** 2, axis=(0, 1)) / whole)
+        room.append(2 * basis.shape[1])
+    share.append(1.0 - np.sum(share, axis=0))
+    room.append(6 * n - sum(room))
+    slots = np.repeat(np.arange(4), room)
+    rows, columns = linear_sum_assignment(-np.array(share).T[:, slots])
+    names = np.empty(len(rows), dtype=object)
+    names[rows] = np.array(FAMILIES, dtype=object)[slots[columns]]
+    return names
+
+
+def _det_z_error(latest):
+    """|det Z - 1| of the out-of-plane variations, if the motion stays in the orbit plane."""
+    x = np.stack([to_scaled(latest.flow, latest.start), to_scaled(latest.flow, latest.end)])
+    if np.max(np.abs(x[:, 2::3])) > 1e-12:
+        return math.nan
+    return float(abs(np.linalg.det(latest.matrix[2::3, 2::3]) - 1.0))
+
+
+def _flow_error(latest):
+    """Scaled error of M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28)."""
+    before, after = (_flow_direction(latest.flow, s) for s in (latest.start, latest.end))
+    return float(np.max(np.abs(latest.matrix @ before - after)) / np.max(np.abs(before)))
+
+
+def _flow_direction(flow, state):
+    plant = flow.plant._replace(spin=0.0)
+    r, v = state.position_m, np.ascontiguousarray(state.velocity_m_s)
+    taut = forces.tether_state(flow.system, r, v)[2] | flow.system.bilateral
+    a = np.empty_like(r)
+    forces.acceleration(plant, taut, 0.0, v, np.ascontiguousarray(r), a)
+    return to_scaled(flow, State(v, a))

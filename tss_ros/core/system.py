@@ -1,0 +1,187 @@
+"""The tethered satellite system: beads, tether segments and the orbit they move in (section 2.1).
+
+SI units throughout. The orbit frame o-xyz sits at the formation's nominal centre: y points radially
+up, z along the orbit normal, x = y cross z.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from tss_ros.core.errors import TssError
+
+#: Gravitational parameter of the Earth [m^3/s^2], as in the paper.
+MU_EARTH = 3.986e14
+#: Mean radius of the Earth [m], as in Table 1.
+RADIUS_EARTH_M = 6378e3
+
+
+@dataclass(frozen=True)
+class State:
+    """Positions and velocities of all beads in the orbit frame.
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (n, 3)
+        [m] from the formation's nominal centre.
+    velocity_m_s : ndarray, shape (n, 3)
+        [m/s] measured in the rotating orbit frame.
+    """
+
+    position_m: np.ndarray
+    velocity_m_s: np.ndarray
+
+
+@dataclass(frozen=True)
+class System:
+    """Beads joined by tether segments on a circular orbit; arrays are validated and read-only.
+
+    Attributes
+    ----------
+    bead_name : tuple of str, length n
+    is_satellite : ndarray, shape (n,), bool
+        False for beads that stand for tether mass.
+    mass_kg : ndarray, shape (n,)
+    tether_name : tuple of str, length m
+    tether_ends : ndarray, shape (m, 2), int
+        Indices of the two beads that each segment joins, Eq. (4).
+    rest_length_m, axial_stiffness_n, damping_n_s_per_m : ndarray, shape (m,)
+        Equilibrium length L [m], EA [N] and C [N s/m] of each segment, Eqs. (3) and (6).
+    layout_m : ndarray, shape (n, 3)
+        [m] nominal shape in the orbit frame at time 0; the spin axis is z. A first guess of the
+        steady state, not the steady state itself.
+    orbit_altitude_m : float
+        H [m] above `RADIUS_EARTH_M`.
+    linear_gravity : bool
+        Use the gravity gradient linearised at the centre instead of Eq. (2).
+    bilateral : bool
+        Let segments push as well as pull: s = 1 always in Eq. (5). For closed-form checks.
+
+    Raises
+    ------
+    TssError
+        If a value, a shape or the graph is not physical; the text names it.
+    """
+
+    bead_name: tuple
+    is_satellite: np.ndarray
+    mass_kg: np.ndarray
+    tether_name: tuple
+    tether_ends: np.ndarray
+    rest_length_m: np.ndarray
+    axial_stiffness_n: np.ndarray
+    damping_n_s_per_m: np.ndarray
+    layout_m: np.ndarray
+    orbit_altitude_m: float = 1.0e6
+    linear_gravity: bool = False
+    bilateral: bool = False
+
+    def __post_init__(self):
+        n, m = len(self.bead_name), len(self.tether_name)
+        if n < 2:
+            raise TssError(f"a system needs at least 2 beads, got {n}")
+        if m < 1:
+            raise TssError("a system needs at least 1 tether, got 0")
+        for names, what in ((self.bead_name, "bead"), (self.tether_name, "tether")):
+            name, count = Counter(names).most_common(1)[0]
+            if count > 1:
+                raise TssError(f"{what} name {name!r} is given {count} times")
+        self._store("is_satellite", self.is_satellite, n, bool)
+        self._store("mass_kg", self.mass_kg, n, above=0.0)
+        ends = np.array(self.tether_ends)
+        if ends.shape != (m, 2) or not np.issubdtype(ends.dtype, np.integer):
+            raise TssError(f"tether_ends must be {m} pairs of bead indices, got shape {ends.shape}")
+        if ends.min() < 0 or ends.max() >= n:
+            raise TssError(f"tether_ends must lie in 0..{n - 1}, got {ends.min()}..{ends.max()}")
+        for name, (i, j) in zip(self.tether_name, ends):
+            if i == j:
+                raise TssError(f"tether {name!r} joins bead {self.bead_name[i]!r} to itself")
+        ends = ends.astype(np.int64)
+        ends.flags.writeable = False
+        object.__setattr__(self, "tether_ends", ends)
+        self._store("rest_length_m", self.rest_length_m, m, above=0.0)
+        self._store("axial_stiffness_n", self.axial_stiffness_n, m, above=0.0)
+        self._store("damping_n_s_per_m", self.damping_n_s_per_m, m, at_least=0.0)
+        self._require_connected()
+        layout = np.array(self.layout_m, dtype=float)
+        if layout.shape != (n, 3) or not np.isfinite(layout).all():
+            raise TssError(f"layout_m must be {n} finite positions x y z, got shape {layout.shape}")
+        layout.flags.writeable = False
+        object.__setattr__(self, "layout_m", layout)
+        altitude = finite("orbit_altitude_m", self.orbit_altitude_m, at_least=0.0)
+        object.__setattr__(self, "orbit_altitude_m", altitude)
+
+    def _store(self, name, values, size, dtype=float, **bounds):
+        array = np.array(values, dtype=dtype)
+        if array.shape != (size,):
+            raise TssError(f"{name} must have {size} values, got shape {array.shape}")
+        if dtype is float:
+            for value in array:
+                finite(name, value, **bounds)
+        array.flags.writeable = False
+        object.__setattr__(self, name, array)
+
+    def _require_connected(self):
+        reached, frontier = {0}, [0]
+        neighbours = [[] for _ in self.bead_name]
+        for i, j in self.tether_ends:
+            neighbours[i].append(j)
+            neighbours[j].append(i)
+        while frontier:
+            for j in neighbours[frontier.pop()]:
+                if j not in reached:
+                    reached.add(j)
+                    frontier.append(j)
+        for i, name in enumerate(self.bead_name):
+            if i not in reached:
+                raise TssError(f"bead {name!r} is not tethered to bead {self.bead_name[0]!r}")
+
+    @property
+    def n(self):
+        """Number of beads, satellites included."""
+        return len(self.bead_name)
+
+    @property
+    def m(self):
+        """Number of tether segments."""
+        return len(self.tether_name)
+
+    @property
+    def orbit_radius_m(self):
+        """R = R_E + H [m]."""
+        return RADIUS_EARTH_M + self.orbit_altitude_m
+
+    @property
+    def orbit_rate_rad_s(self):
+        """Omega = sqrt(mu / R^3) [rad/s]."""
+        return math.sqrt(MU_EARTH / self.orbit_radius_m**3)
+
+    def spin_rate_rad_s(self, spin_rate_ratio):
+        """Spin rate omega [rad/s] in the orbit frame for w = omega / Omega; refuses 0 and NaN."""
+        ratio = finite("spin_rate_ratio", spin_rate_ratio)
+        if not 1e-3 <= abs(ratio) <= 1e4:
+            raise TssError(f"spin_rate_ratio must have a size from 0.001 to 10000, got {ratio:g}")
+        return ratio * self.orbit_rate_rad_s
+
+
+def finite(name, value, above=None, at_least=None):
+    """Return `value` as a finite float within its bounds.
+
+    Raises
+    ------
+    TssError
+        Naming the thing, its value and what is allowed.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TssError(f"{name} must be a number, got {value!r}") from None
+    if not math.isfinite(number):
+        raise TssError(f"{name} must be a finite number, got {number}")
+    if above is not None and not number > above:
+        raise TssError(f"{name} must be greater than {above:g}, got {number:g}")
+    if at_least is not None and not number >= at_least:
+        raise TssError(f"{name} must be at least {at_least:g}, got {number:g}")
+    return number

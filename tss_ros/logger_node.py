@@ -1,0 +1,166 @@
+"""The recorder node: writes every recorded topic to a bag, and shows it in Rerun while it does."""
+
+import os
+import threading
+import time
+
+from builtin_interfaces.msg import Time
+from tss_interfaces.msg import RecorderStatus
+
+from tss_ros import parameters
+from tss_ros.live_feed import LiveFeed
+from tss_ros.node_main import TssNode, run
+from tss_ros.recording import BagWriter, stamp_ns, step_number
+from tss_ros.topics import read_topics
+
+#: A topic with more messages than this waiting lets the others have their turn.
+DRAIN_LIMIT = 50
+FLUSH_PERIOD_S = 0.25
+#: Reports go out this often [s], to show that the recorder lives, and after this many steps.
+STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
+
+
+class RecordedTopic:
+    """A subscription to serialised messages whose callback takes all that wait, not one at a time.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topic : Topic
+    writer : BagWriter
+    on_message : callable
+        Called with this object, the serialised message and its middleware information.
+    """
+
+    def __init__(self, node, topic, writer, on_message):
+        self.name = topic.name
+        self.stamp_offset = topic.stamp_offset
+        self._message_class = topic.message_class
+        self._on_message = on_message
+        self._next_number = None
+        self.subscription = node.create_subscription(
+            topic.message_class, topic.name, self._take_waiting, topic.qos, raw=True
+        )
+        self.channel = writer.add_topic(
+            self.subscription.topic_name,
+            topic.type,
+            topic.definition,
+            topic.type_hash,
+            topic.offered_qos,
+        )
+
+    def lost_before(self, number):
+        """How many messages the middleware dropped before the one with this sequence number.
+
+        Numbers that begin anew belong to a new publisher, and what was published before the first
+        message that arrived was never meant for this recorder.
+        """
+        if number is None:  # not every middleware counts
+            return 0
+        expected, self._next_number = self._next_number, number + 1
+        return number - expected if expected is not None and number > expected else 0
+
+    def take(self, limit):
+        """Handle up to `limit` messages that wait."""
+        for _ in range(limit):
+            taken = self.subscription.handle.take_message(self._message_class, True)
+            if taken is None:
+                return
+            self._on_message(self, *taken)
+
+    def _take_waiting(self, data, info):
+        self._on_message(self, data, info)
+        self.take(DRAIN_LIMIT)
+
+
+class LoggerNode(TssNode):
+    """Records into the directory `output`; see parameters.LOGGER."""
+
+    def __init__(self):
+        super().__init__("logger_node")
+        options = parameters.read_parameters(self, parameters.LOGGER)
+        output = options["output"] or time.strftime("bag_%Y%m%d_%H%M%S")
+        self._writer = BagWriter(output, os.environ.get("ROS_DISTRO", "jazzy"))
+        topics = read_topics()
+        self._live = LiveFeed(self.get_logger()) if options["rerun"] else None
+        self._last_step = self._reported_step = -1
+        self._lost = self._newest_ns = 0
+        self._topics = [
+            RecordedTopic(self, topic, self._writer, self._on_message)
+            for topic in topics.values()
+            if topic.recorded
+        ]
+        self._status = self.create_publisher(
+            RecorderStatus, "recorder_status", topics["recorder_status"].qos
+        )
+        self.every(FLUSH_PERIOD_S, self._writer.flush)
+        self._stopping = threading.Event()
+        # Not a timer of the executor: a recorder that waits for its disk must be heard, too.
+        self._reporter = threading.Thread(target=self._report_regularly, daemon=True)
+        self.get_logger().info(f"recording {len(self._topics)} topics to {self._writer.path}")
+
+    def start(self):
+        """Begin to report and to show."""
+        self._reporter.start()
+        if self._live:
+            self._live.start()
+
+    def stop(self):
+        """Write what has arrived and close the bag."""
+        self._stopping.set()
+        for topic in self._topics:
+            topic.take(DRAIN_LIMIT)
+        self._writer.close()
+        self._reporter.join(timeout=0.5)
+        if self._live:
+            self._live.stop()
+        print(
+            f"{self._writer.path}: {self._writer.message_count} messages, {self._lost} lost",
+            flush=True,
+        )
+
+    def _on_message(self, topic, data, info):
+        if topic.stamp_offset is not None:
+            self._newest_ns = stamp_ns(data, topic.stamp_offset)
+        number = info["publication_sequence_number"]
+        lost = topic.lost_before(number)
+        if lost:
+            self._lost += lost
+            self.get_logger().warning(
+                f"{lost} messages of {topic.name} were lost, {self._lost} in all"
+            )
+        sent_ns = info["source_timestamp"]
+        self._writer.write(topic.channel, data, self._newest_ns, sent_ns, number or 0)
+        if self._live:
+            self._live.take(topic.name, data)
+        if topic.name == "bead_states":
+            self._last_step = step_number(data)
+            if abs(self._last_step - self._reported_step) >= STATUS_STEPS:
+                self._report()
+
+    def _report_regularly(self):
+        while not self._stopping.wait(STATUS_PERIOD_S):
+            self._report()
+
+    def _report(self):
+        self._reported_step = self._last_step
+        now_ns = time.time_ns()
+        status = RecorderStatus(
+            stamp=Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9),
+            output=str(self._writer.directory.absolute()),
+            recording=True,
+            matched=all(topic.subscription.get_publisher_count() for topic in self._topics),
+            last_step=self._reported_step,
+            messages=self._writer.message_count,
+            lost=self._lost,
+        )
+        try:
+            self._status.publish(status)
+        except Exception:
+            if self.context.ok():  # else a signal ended the context a moment ago
+                raise
+
+
+def main():
+    """Executable `logger_node`."""
+    return run(LoggerNode)

@@ -1,0 +1,115 @@
+"""How every node starts and ends: one place for signals, errors and exit statuses."""
+
+import os
+import signal
+import sys
+import threading
+
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.node import Node
+
+from tss_ros.core import TssError
+
+#: Errors that a user can put right; anything else is a mistake of ours and shows its traceback.
+USER_ERRORS = (TssError, OSError, ParameterException, rclpy_implementation.RCLError)
+
+
+class Finished(Exception):
+    """Ends the spinning of a node that has done its work."""
+
+
+class TssNode(Node):
+    """A node that can be started, that can end by itself, and that closes its own things first."""
+
+    def start(self):
+        """Begin the work; the executor spins next."""
+
+    def stop(self):
+        """End the work within a second; called once, before the node is destroyed."""
+
+    def every(self, period_s, callback):
+        """Call back each `period_s` of wall time, whatever time the node follows."""
+        self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def finish(self, error=None):
+        """End the process, from any thread: with status 0, or by `error` with status 1."""
+
+        def leave():
+            raise error or Finished()
+
+        self.executor.create_task(leave)
+
+
+def run(node_class):
+    """Run a node until it finishes or is told to stop.
+
+    SIGINT and SIGTERM end it with status 0. What a user can put right is told in one line.
+
+    Parameters
+    ----------
+    node_class : type
+        Subclass of TssNode, made without arguments.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
+    # Nobody else on the network sees or drives a simulation unless the user asks for it.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # rclpy's handlers, installed by init, shut the context down and then call these: the executor
+    # ends between two callbacks, and no KeyboardInterrupt tears a message that is being written.
+    told_to_stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: told_to_stop.set())
+    name = node_class.__module__.rpartition(".")[2]
+    node, status = None, 0
+    try:
+        # rcl logs that parsing failed and then raises an error that says why; the latter is enough.
+        set_logger_level("rcl", LoggingSeverity.FATAL)
+        rclpy.init()
+        set_logger_level("rcl", LoggingSeverity.UNSET)
+        executor = SingleThreadedExecutor()
+        node = node_class()
+        executor.add_node(node)
+        node.start()
+        if not told_to_stop.is_set():
+            executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException, Finished):
+        pass
+    except Exception as error:
+        if rclpy.ok() or not told_to_stop.is_set():
+            if not isinstance(error, USER_ERRORS):
+                raise
+            status = _tell(name, error)
+    finally:
+        if node is not None:
+            try:
+                node.stop()
+            except USER_ERRORS as error:
+                status = _tell(name, error)
+            node.destroy_node()
+        rclpy.try_shutdown()
+    _end_threads(status)
+    return status
+
+
+def _tell(name, error):
+    """Say in one line what is wrong, without rcl's source positions, and return the exit status."""
+    text = " ".join(str(error).split()).split(", at /")[0]
+    print(f"{name}: {text.removeprefix('failed to initialize rcl: ')}", file=sys.stderr)
+    return 1
+
+
+def _end_threads(status):
+    """Leave now if a thread is still busy with a long computation, which nothing can interrupt."""
+    if any(t is not threading.main_thread() for t in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)

@@ -1,0 +1,222 @@
+"""Matplotlib figures of recorded motions and stability results, from plain arrays.
+
+Figures are built without pyplot, so they share no state and need no screen; the caller saves them.
+Line style and marker tell the curves apart where colour cannot.
+"""
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+# Okabe and Ito's palette without yellow: distinct for every kind of colour vision.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINE_STYLES = (
+    "-",
+    (0, (5, 1.5)),
+    (0, (1, 1)),
+    (0, (7, 1.5, 1, 1.5)),
+    (0, (3, 1, 1, 1, 1, 1)),
+    (0, (9, 3)),
+)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+VERDICT_STYLES = {
+    "asymptotically stable": {"marker": "o", "color": "#0072B2"},
+    "neutral": {"marker": "s", "color": "#009E73"},
+    "unstable": {"marker": "X", "color": "#D55E00"},
+    "no periodic motion": {"marker": "v", "color": "#555555"},
+}
+INK = "#333333"
+DPI = 200
+
+
+def trajectories(position_m, tether_ends, bead_name, is_satellite):
+    """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
+
+    Parameters
+    ----------
+    position_m : array (k, n, 3)
+        Positions in the orbit frame [m]: y radial up, z along the orbit normal.
+    tether_ends : array (m, 2) of int
+        The two beads that each tether joins.
+    bead_name : sequence of str (n)
+    is_satellite : array (n,) of bool
+        Satellites have a symbol, a line style and a name; other beads are thin grey paths.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two axes that share the radial direction: the orbital plane [km], and the view along x,
+        whose abscissa is in metres because a healthy motion hardly leaves the plane.
+    """
+    figure = Figure(figsize=(9.0, 6.4), dpi=DPI, layout="constrained")
+    plan, edge = figure.subplots(1, 2, sharey=True, width_ratios=(3.4, 1))
+    position_m = np.asarray(position_m, dtype=float)
+    x_km, y_km, z_m = position_m[..., 0] / 1e3, position_m[..., 1] / 1e3, position_m[..., 2]
+    for axes, across in ((plan, x_km), (edge, z_m)):
+        axes.plot(
+            across[:, ~np.asarray(is_satellite)],
+            y_km[:, ~np.asarray(is_satellite)],
+            color="0.7",
+            linewidth=0.5,
+        )
+        for i in np.flatnonzero(is_satellite):
+            style = _series_style(i)
+            marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
+            axes.plot(
+                across[:, i],
+                y_km[:, i],
+                **style,
+                linewidth=0.8,
+                markevery=[-1],
+                label=bead_name[i],
+                **marker,
+            )
+            axes.plot(
+                across[0, i],
+                y_km[0, i],
+                color=style["color"],
+                markerfacecolor="white",
+                linestyle="",
+                **marker,
+            )
+    for step, linestyle, label in ((0, "--", "start (open symbols)"), (-1, "-", "end (filled)")):
+        # One broken line for all tethers: NaN lifts the pen between them.
+        ends = np.asarray(tether_ends)
+        pen = [
+            np.column_stack([p[step][ends], np.full(len(ends), np.nan)]).ravel()
+            for p in (x_km, y_km)
+        ]
+        plan.plot(
+            *pen, color=INK, linestyle=linestyle, linewidth=1.2, zorder=3, label=f"tethers, {label}"
+        )
+    plan.set_aspect("equal", adjustable="datalim")
+    _finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
+    _finish(edge, "z, orbit normal [m]", "")
+    _legend_below(figure, plan, columns=5)
+    return figure
+
+
+def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
+    """Relative deviation of the beads' distances from their undisturbed values against turns.
+
+    Parameters
+    ----------
+    turns : array (k,)
+        Simulated time over the spin period [-].
+    deviation : array (k, n)
+        Eq. 53, measured from the origin of the orbit frame [-].
+    bead_name : sequence of str (n)
+    from_centre_of_mass : array (k, n), optional
+        The same measured from the instantaneous centre of mass [-]: whether the formation holds
+        its shape, however far it drifted along the orbit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One axes for each of the two measures given, ordinates in per cent.
+    """
+    panels = [("from the frame's origin (Eq. 53) [%]", deviation)]
+    if from_centre_of_mass is not None:
+        panels.append(("from the centre of mass [%]", from_centre_of_mass))
+    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+    rows = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+    for axes, (label, values) in zip(rows, panels):
+        for i, name in enumerate(bead_name):
+            axes.plot(
+                turns, 100 * np.asarray(values)[:, i], **_series_style(i), linewidth=1.1, label=name
+            )
+        axes.axhline(0, color=INK, linewidth=0.6, zorder=1)
+        axes.margins(x=0.01)
+        _finish(axes, "", f"deviation\n{label}")
+    rows[-1].set_xlabel("turns of the formation [-]")
+    _legend_below(figure, rows[0], columns=min(6, len(bead_name)))
+    return figure
+
+
+def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, method="monodromy"):
+    """Largest Floquet multiplier modulus against spin rate, the verdict told by the marker.
+
+    Parameters
+    ----------
+    spin_rate_ratio : array (k,)
+        Spin rates over orbital rate, in the orbit frame [-], in any order.
+    max_modulus, max_modulus_nontrivial : array (k,)
+        Largest modulus of all multipliers, and of those outside the centre-of-mass and spin
+        families [-]; NaN where a rate failed.
+    verdict : sequence of str (k)
+        Keys of ``VERDICT_STYLES``; a rate with any other verdict (a failed one) is left out.
+    method : str
+        What the multipliers come from, named in the axis label.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One axes; its ordinate is logarithmic when the moduli span more than a factor of three.
+    """
+    order = np.argsort(spin_rate_ratio)
+    rate, of_all, nontrivial = (
+        np.asarray(a, dtype=float)[order]
+        for a in (spin_rate_ratio, max_modulus, max_modulus_nontrivial)
+    )
+    verdict = np.asarray(verdict, dtype=object)[order]
+    figure = Figure(figsize=(8.0, 5.0), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(1, color=INK, linewidth=0.9, linestyle="--", label="unit modulus")
+    axes.plot(rate, of_all, color="0.55", linewidth=1.1, zorder=2, label="all multipliers")
+    axes.plot(
+        rate,
+        nontrivial,
+        color="0.55",
+        linewidth=1.1,
+        linestyle=(0, (1, 1.2)),
+        marker="|",
+        markersize=9,
+        zorder=2,
+        label="without centre of mass and spin",
+    )
+    for name, style in VERDICT_STYLES.items():
+        here = verdict == name
+        if here.any():
+            axes.plot(
+                rate[here],
+                of_all[here],
+                linestyle="",
+                markersize=7.5,
+                zorder=3,
+                label=name,
+                **style,
+            )
+    finite = np.concatenate([of_all, nontrivial])
+    finite = finite[np.isfinite(finite) & (finite > 0)]
+    if finite.size and finite.max() > 3 * finite.min():
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.ticklabel_format(axis="y", useOffset=False)
+    _finish(
+        axes,
+        "spin rate over orbital rate, ω/Ω [-]",
+        f"largest multiplier modulus, max |ρ| [-]\n({method})",
+    )
+    _legend_below(figure, axes, columns=3)
+    return figure
+
+
+def _series_style(i):
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]}
+
+
+def _finish(axes, xlabel, ylabel):
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _legend_below(figure, axes, columns):
+    figure.legend(
+        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False
+    )

@@ -1,0 +1,145 @@
+"""The topics named in recording.yaml: QoS, message types and what a bag says about them."""
+
+import functools
+import importlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from tss_ros.core import TssError
+
+#: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
+UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic as recording.yaml describes it; see there for the meaning of each field."""
+
+    name: str
+    type: str
+    recorded: bool
+    durability: str
+    depth: int
+
+    def __post_init__(self):
+        if self.durability not in ("volatile", "transient_local"):
+            allowed = "volatile or transient_local"
+            raise TssError(f"durability of {self.name} is {self.durability!r}; allowed: {allowed}")
+        if not (isinstance(self.depth, int) and self.depth >= 1):
+            raise TssError(f"depth of {self.name} is {self.depth!r}; allowed: 1 or more")
+
+    @property
+    def message_class(self):
+        """The Python class of the topic's messages."""
+        return _message_class(self.type)
+
+    @property
+    def qos(self):
+        """The QoS of publishers and subscriptions: reliable, keeping the last `depth`."""
+        durability = DurabilityPolicy.get_from_short_key(self.durability)
+        return QoSProfile(depth=self.depth, durability=durability)
+
+    @property
+    def offered_qos(self):
+        """The same as the dict that rosbag2 stores as `offered_qos_profiles`."""
+        return {
+            "history": "keep_last",
+            "depth": self.depth,
+            "reliability": "reliable",
+            "durability": self.durability,
+            "deadline": UNLIMITED,
+            "lifespan": UNLIMITED,
+            "liveliness": "automatic",
+            "liveliness_lease_duration": UNLIMITED,
+            "avoid_ros_namespace_conventions": False,
+        }
+
+    @property
+    def type_hash(self):
+        """The RIHS01 hash of the type, from the JSON file installed beside its definition."""
+        described = json.loads(_interface_file(self.type, "json").read_text(encoding="utf-8"))
+        return next(
+            h["hash_string"] for h in described["type_hashes"] if h["type_name"] == self.type
+        )
+
+    @property
+    def definition(self):
+        """The type's text and, after it, that of each type it uses: MCAP's "ros2msg" schema."""
+        texts, queue = {}, [self.type]
+        while queue:
+            name = queue.pop(0)
+            if name not in texts:
+                texts[name] = _interface_file(name, "msg").read_text(encoding="utf-8")
+                queue += _used_types(name)
+        root = texts.pop(self.type)
+        parts = [
+            f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()
+        ]
+        return "\n".join([root, *parts])
+
+    @property
+    def stamp_offset(self):
+        """Bytes from the start of a serialised message to its (first) header's stamp; None without.
+
+        A CDR message starts with 4 bytes that name the encoding, a sequence with the 4 bytes of its
+        length: the first header of a MarkerArray lies 4 bytes further in than that of a JointState.
+        """
+        offset, name = 4, self.type
+        while True:
+            first = next(iter(_message_class(name).get_fields_and_field_types().values()))
+            if first == "std_msgs/Header":
+                return offset
+            if not (first.startswith("sequence<") and "/" in first):
+                return None
+            offset, name = offset + 4, _base_type(first)
+
+
+@functools.cache
+def read_topics():
+    """Read recording.yaml.
+
+    Returns
+    -------
+    dict of str to Topic
+        By relative name, in the file's order.
+
+    Raises
+    ------
+    TssError
+        If an entry is not as it should be.
+    """
+    path = Path(get_package_share_directory("tss_ros")) / "msg_configs" / "recording.yaml"
+    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    try:
+        return {name: Topic(name=name, **entry) for name, entry in entries.items()}
+    except TypeError as error:
+        raise TssError(f"{path}: {error}; see its first lines") from error
+
+
+def _message_class(type_name):
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def _interface_file(type_name, suffix):
+    package, _, name = type_name.split("/")
+    return Path(get_package_share_directory(package)) / "msg" / f"{name}.{suffix}"
+
+
+def _used_types(type_name):
+    """The message types among a type's fields."""
+    fields = _message_class(type_name).get_fields_and_field_types().values()
+    return [_base_type(field) for field in fields if "/" in field]
+
+
+def _base_type(field):
+    """ "sequence<pkg/Name, 3>" or "pkg/Name[3]" or "pkg/Name" as "pkg/msg/Name"."""
+    package, name = (
+        field.removeprefix("sequence<").rstrip(">").split(",")[0].split("[")[0].split("/")
+    )
+    return f"{package}/msg/{name}"
