@@ -1,0 +1,184 @@
+"""The stability node as a real process: its service, its parameters, what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+import ros_harness
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from tss_interfaces.srv import ComputeFloquet
+
+# Table 1 of the paper, worked out here and not by the package.
+ORBIT_RATE = math.sqrt(3.986e14 / 7378e3**3)
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    """A running stability node and a way to call its services: `asked(type, name, request)`."""
+    directory = tmp_path_factory.mktemp("stability")
+    with (
+        ros_harness.processes(directory) as start,
+        ros_harness.client_node() as (node, spin_until),
+    ):
+        process = start("stability_node", satellite_mass_kg=120)
+
+        def ask(service_type, name, request):
+            response = ros_harness.call(
+                node, spin_until, service_type, f"/stability_node/{name}", request
+            )
+            assert process.running
+            return response
+
+        yield ask
+        assert process.stop() == 0, process.stderr
+        assert "Traceback" not in process.stderr
+
+
+def compute(asked, rates, method="", **overrides):
+    """Ask for multipliers; overrides are ParameterValue or float."""
+    request = ComputeFloquet.Request(spin_rate_ratio=rates, method=method)
+    for name, value in overrides.items():
+        if not isinstance(value, ParameterValue):
+            value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        request.overrides.append(Parameter(name=name, value=value))
+    return asked(ComputeFloquet, "compute_floquet", request)
+
+
+def integer(value):
+    return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+
+
+def doubles(*values):
+    return ParameterValue(
+        type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[float(v) for v in values]
+    )
+
+
+def text(value):
+    return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+
+
+def test_parameters_describe_themselves_and_refuse_changes(asked):
+    names = ["scenario", "satellites", "satellite_mass_kg", "orbit_altitude_m"]
+    described = asked(
+        DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)
+    ).descriptors
+    scenario, satellites, mass, altitude = described
+    assert all(d.read_only and d.description and d.additional_constraints for d in described)
+    assert "[kg]" in mass.description and "[m]" in altitude.description
+    assert satellites.integer_range[0].from_value == 2
+    assert altitude.floating_point_range[0].from_value == 0.0
+    values = asked(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
+    assert values[0].string_value == "three_star"
+    assert values[1].type == ParameterType.PARAMETER_NOT_SET
+    assert values[2].integer_value == 120
+    change = Parameter(name="satellites", value=integer(4))
+    (result,) = asked(
+        SetParameters, "set_parameters", SetParameters.Request(parameters=[change])
+    ).results
+    assert not result.successful and "read-only" in result.reason
+
+
+def test_answers_come_in_the_order_of_the_rates(asked):
+    rates = [-2.5, 1.5, -3.0]
+    for method in ("", "monodromy", "frozen"):
+        response = compute(asked, rates, method)
+        assert response.success, response.message
+        assert [result.spin_rate_ratio for result in response.results] == rates
+        for rate, result in zip(rates, response.results):
+            assert result.verdict
+            assert result.spin_rate_rad_s == pytest.approx(rate * ORBIT_RATE, rel=1e-12)
+            assert result.period_s == pytest.approx(2 * math.pi / abs(rate) / ORBIT_RATE, rel=1e-12)
+            multiplier = np.array(result.multiplier_real) + 1j * np.array(result.multiplier_imag)
+            assert len(multiplier) == len(result.family) == 18
+            assert result.max_modulus == pytest.approx(np.abs(multiplier).max(), rel=1e-12)
+
+
+def test_overrides_replace_the_nodes_own_parameters(asked):
+    response = compute(
+        asked, [-2.5], satellites=integer(4), satellite_mass_kg=doubles(110, 110, 110, 110)
+    )
+    assert response.success and len(response.results[0].multiplier_real) == 24
+    own, same, other = (
+        compute(asked, [-2.5], **overrides).results[0].multiplier_real.tolist()
+        for overrides in ({}, {"satellite_mass_kg": integer(120)}, {"satellite_mass_kg": 60.0})
+    )
+    assert own == same and own != other
+    remark = compute(asked, [-2.5], spin_rate_ratio=-3.0)
+    assert remark.success and "spin_rate_ratio" in remark.message
+
+
+@pytest.mark.parametrize(
+    ("rate", "expected"),
+    [(math.nan, "nan"), (math.inf, "inf"), (0.0, "0"), (1e9, "1e+09")],
+    ids=["NaN", "infinite", "zero", "huge"],
+)
+def test_a_wrong_rate_spoils_only_its_own_result(asked, rate, expected):
+    response = compute(asked, [-2.5, rate, -3.0])
+    assert response.success
+    good, bad, also_good = response.results
+    assert good.verdict and also_good.verdict
+    assert "spin_rate_ratio" in bad.message and expected in bad.message
+    assert bad.verdict == "" and len(bad.multiplier_real) == 0 and math.isnan(bad.max_modulus)
+
+
+@pytest.mark.parametrize(
+    ("rates", "method", "overrides", "expected"),
+    [
+        ([], "", {}, ("spin_rate_ratio", "0 rates", "1 to 10000")),
+        ([-2.5] * 10_001, "", {}, ("spin_rate_ratio", "10001 rates", "10000")),
+        ([-2.5] * 11, "", {"satellites": integer(30)}, ("11 rates", "1 to 10 for 30 beads")),
+        ([-2.5], "exact", {}, ("method", "'exact'", "frozen")),
+        ([-2.5], "", {"satellite_mass_kg": -1.0}, ("satellite_mass_kg", "-1", "0.001")),
+        ([-2.5], "", {"satellite_mass_kg": math.nan}, ("satellite_mass_kg", "nan")),
+        ([-2.5], "", {"satellite_mass_kg": doubles(1, 2)}, ("satellite_mass_kg", "2", "3")),
+        ([-2.5], "", {"satellite_mass_kg": doubles(1, -2, 3)}, ("satellite_mass_kg[1]", "-2")),
+        ([-2.5], "", {"satellite_mass_kg": text("heavy")}, ("satellite_mass_kg", "'heavy'")),
+        ([-2.5], "", {"satellite_mass_kg": ParameterValue()}, ("satellite_mass_kg", "nothing")),
+        ([-2.5], "", {"satellite_mass_kg": ParameterValue(type=77)}, ("satellite_mass_kg", "77")),
+        ([-2.5], "", {"satellites": integer(1_000_000)}, ("satellites", "1000000", "2 to 1000")),
+        ([-2.5], "", {"satellites": integer(101)}, ("satellites", "101", "100")),
+        ([-2.5], "", {"satellites": 3.0}, ("satellites", "3.0", "whole number")),
+        ([-2.5], "", {"orbit_altitude_m": math.inf}, ("orbit_altitude_m", "inf", "1000000000")),
+        ([-2.5], "", {"mass": 2.0}, ("'mass'", "satellite_mass_kg")),
+        ([-2.5], "", {"scenario": text("six_bead")}, ("'scenario'", "satellites")),
+    ],
+)
+def test_a_wrong_request_is_refused_in_words(asked, rates, method, overrides, expected):
+    response = compute(asked, rates, method, **overrides)
+    assert not response.success and len(response.results) == 0
+    assert all(part in response.message for part in expected), response.message
+    assert compute(asked, [-2.5]).success
+
+
+def test_an_override_given_twice_is_refused(asked):
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1.0)
+    twice = [Parameter(name="bead_mass_kg", value=value)] * 2
+    request = ComputeFloquet.Request(spin_rate_ratio=[-2.5], overrides=twice)
+    response = asked(ComputeFloquet, "compute_floquet", request)
+    assert not response.success and "'bead_mass_kg' is given twice" in response.message
+
+
+def test_a_long_request_blocks_neither_parameters_nor_the_end(tmp_path):
+    with (
+        ros_harness.processes(tmp_path) as start,
+        ros_harness.client_node() as (node, spin_until),
+    ):
+        process = start("stability_node", "-r", "__ns:=/busy")
+        client = node.create_client(ComputeFloquet, "/busy/stability_node/compute_floquet")
+        spin_until(client.service_is_ready, ros_harness.START_S, "the service")
+        rates = np.linspace(-3.5, -1.5, 10_000).tolist()
+        answer = client.call_async(ComputeFloquet.Request(spin_rate_ratio=rates))
+        request = GetParameters.Request(names=["scenario"])
+        values = ros_harness.call(
+            node,
+            spin_until,
+            GetParameters,
+            "/busy/stability_node/get_parameters",
+            request,
+            timeout_s=5,
+        ).values
+        assert values[0].string_value == "three_star" and not answer.done()
+        assert process.stop() == 0, process.stderr
+    assert "Traceback" not in process.stderr
