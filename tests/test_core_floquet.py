@@ -55,7 +55,9 @@ def test_axis_tilt_grows_as_the_closed_form_says(w, known):
     assert result.verdict == "unstable"
 
 
-@pytest.mark.parametrize("w, stable", [(-2.02, True), (-1.98, False), (-0.48, True), (-0.52, False)])
+@pytest.mark.parametrize(
+    "w, stable", [(-2.02, True), (-1.98, False), (-0.48, True), (-0.52, False)]
+)
 def test_axis_tilt_is_stable_outside_minus_two_to_minus_half(w, stable):
     system = ring(damping_n_s_per_m=0.0, linear_gravity=True, bilateral=True)
     largest = moduli(compute_floquet(system, w), "axis tilt").max()
@@ -89,7 +91,10 @@ def test_corrected_motion_goes_slack_at_the_damped_edge(damping, edge):
     """PHYSICS 4: taut iff w^2 + 2 w + 3/2 >= 3 / sqrt(1 + (2 w Omega tau)^2)."""
     system = ring(damping_n_s_per_m=damping)
     tau = damping * 1e4 / 5e4
-    margin = lambda w: w * w + 2 * w + 1.5 - 3 / math.hypot(1, 2 * w * system.orbit_rate_rad_s * tau)
+
+    def margin(w):
+        return w * w + 2 * w + 1.5 - 3 / math.hypot(1, 2 * w * system.orbit_rate_rad_s * tau)
+
     assert margin(-edge - 0.005) > 0 > margin(-edge + 0.005)
     assert compute_floquet(system, -edge - 0.02).switches == 0
     inside = compute_floquet(system, -edge + 0.02)

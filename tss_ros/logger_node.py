@@ -163,4 +163,4 @@ class LoggerNode(TssNode):
 
 def main():
     """Executable `logger_node`."""
-    return run(LoggerNode)
+    run(LoggerNode)

@@ -47,19 +47,15 @@ class TssNode(Node):
 
 
 def run(node_class):
-    """Run a node until it finishes or is told to stop.
+    """Run a node until it finishes or is told to stop, and end the process.
 
-    SIGINT and SIGTERM end it with status 0. What a user can put right is told in one line.
+    The exit status is 0 when the node finished or got SIGINT or SIGTERM. What a user can put right
+    is told in one line, with status 1.
 
     Parameters
     ----------
     node_class : type
         Subclass of TssNode, made without arguments.
-
-    Returns
-    -------
-    int
-        Exit status.
     """
     # Nobody else on the network sees or drives a simulation unless the user asks for it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -96,8 +92,11 @@ def run(node_class):
                 status = _tell(name, error)
             node.destroy_node()
         rclpy.try_shutdown()
-    _end_threads(status)
-    return status
+    # Neither a thread in a long computation, which nothing can interrupt, nor the seconds that the
+    # interpreter takes to let go of freshly compiled code may delay the end.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def _tell(name, error):
@@ -105,11 +104,3 @@ def _tell(name, error):
     text = " ".join(str(error).split()).split(", at /")[0]
     print(f"{name}: {text.removeprefix('failed to initialize rcl: ')}", file=sys.stderr)
     return 1
-
-
-def _end_threads(status):
-    """Leave now if a thread is still busy with a long computation, which nothing can interrupt."""
-    if any(t is not threading.main_thread() for t in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)

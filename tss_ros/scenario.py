@@ -184,9 +184,10 @@ def _check_keys(where, entry, needed, optional=frozenset()):
     for key in needed:
         if key not in entry:
             raise TssError(f"{where} lacks {key}")
+    known = needed | optional
     for key in entry:
-        if key not in needed | optional:
-            raise TssError(f"{where} has {key!r}; allowed are {', '.join(sorted(needed | optional))}")
+        if key not in known:
+            raise TssError(f"{where} has {key!r}; allowed are {', '.join(sorted(known))}")
 
 
 def _body(i, entry):

@@ -210,4 +210,4 @@ class SimNode(TssNode):
 
 def main():
     """Executable `sim_node`."""
-    return run(SimNode)
+    run(SimNode)

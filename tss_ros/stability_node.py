@@ -103,4 +103,4 @@ class StabilityNode(TssNode):
 
 def main():
     """Executable `stability_node`."""
-    return run(StabilityNode)
+    run(StabilityNode)

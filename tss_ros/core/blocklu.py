@@ -174,16 +174,18 @@ def solve_columns(symbolic, factored, b):
             low = factored[symbolic.lower[p]]
             out = b[symbolic.neighbour[p]]
             for row in range(3):
+                a0, a1, a2 = low[row, 0], low[row, 1], low[row, 2]
                 for c in range(columns):
-                    out[row, c] -= low[row, 0] * y[0, c] + low[row, 1] * y[1, c] + low[row, 2] * y[2, c]
+                    out[row, c] -= a0 * y[0, c] + a1 * y[1, c] + a2 * y[2, c]
     for k in range(beads - 1, -1, -1):
         y = b[symbolic.order[k]]
         for p in range(symbolic.start[k], symbolic.start[k + 1]):
             up = factored[symbolic.upper[p]]
             x = b[symbolic.neighbour[p]]
             for row in range(3):
+                a0, a1, a2 = up[row, 0], up[row, 1], up[row, 2]
                 for c in range(columns):
-                    y[row, c] -= up[row, 0] * x[0, c] + up[row, 1] * x[1, c] + up[row, 2] * x[2, c]
+                    y[row, c] -= a0 * x[0, c] + a1 * x[1, c] + a2 * x[2, c]
         inverse = factored[symbolic.order[k]]
         for c in range(columns):
             y0, y1, y2 = y[0, c], y[1, c], y[2, c]

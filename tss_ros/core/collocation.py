@@ -5,7 +5,7 @@ J. Comput. Appl. Math. 111 (1999) 93-111.
 """
 
 from collections import namedtuple
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -22,7 +22,7 @@ Tables = namedtuple(
 )
 
 
-@lru_cache(maxsize=None)
+@cache
 def radau(stages):
     """Coefficients of the Radau IIA method.
 

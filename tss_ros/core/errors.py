@@ -1,4 +1,4 @@
-"""Errors of the core: one base, with messages that name the thing, its value and what is allowed."""
+"""Errors of the core: one base; messages name the thing, its value and what is allowed."""
 
 
 class TssError(ValueError):

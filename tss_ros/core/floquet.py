@@ -175,7 +175,7 @@ def _remark(origin, initial_closure, latest, correct, periodic):
     if latest.switches:
         words += f"; {latest.switches} slack/taut switches in the turn"
     if not periodic:
-        words += "; shooting found no motion that closes, the multipliers are those of its best turn"
+        words += "; no motion that closes was found, the multipliers are those of the best turn"
     return words
 
 

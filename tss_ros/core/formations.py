@@ -136,6 +136,8 @@ FORMATIONS = {
     "double_pyramid": 3,
 }
 
+_EXTRA_MASSES = {"hub_and_spoke": 1, "closed_hub_and_spoke": 1, "double_pyramid": 2}
+
 
 def formation(
     shape,
@@ -198,7 +200,7 @@ def formation(
         _whole("beads_per_tether", value, 0, MOST_BEADS)
         for value in _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
     ]
-    masses = count + {"hub_and_spoke": 1, "closed_hub_and_spoke": 1, "double_pyramid": 2}.get(shape, 0)
+    masses = count + _EXTRA_MASSES.get(shape, 0)
     if masses + sum(beads) > MOST_BEADS:
         raise TssError(
             f"satellites and beads_per_tether make {masses + sum(beads)} beads,"

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from tss_ros.core import blocklu, collocation, forces, radau
+from tss_ros.core import blocklu, collocation, forces, integration, radau
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.system import State
 
@@ -56,7 +56,7 @@ class Flow:
         return other
 
     def begin(self, state, columns=0):
-        """Start a `radau.Motion` at time 0 from a `State` in the orbit frame."""
+        """Start a `integration.Motion` at time 0 from a `State` in the orbit frame."""
         r = np.array(state.position_m, dtype=float)
         v = np.array(state.velocity_m_s, dtype=float)
         if r.shape != (self.system.n, 3) or v.shape != r.shape:
@@ -68,10 +68,10 @@ class Flow:
             raise TssError("positions and velocities must be finite, got NaN or infinity")
         v[:, 0] += self.plant.spin * r[:, 1]
         v[:, 1] -= self.plant.spin * r[:, 0]
-        return radau.begin(self.plant, self.tables, v, r, columns, 1e-3 * self.turn_s)
+        return integration.begin(self.plant, self.tables, v, r, columns, 1e-3 * self.turn_s)
 
     def advance(self, motion, stop=math.inf, steps=2**62, times=None, out=None):
-        """Call `radau.advance` and turn its failures into errors.
+        """Call `integration.advance` and turn its failures into errors.
 
         Raises
         ------
@@ -80,19 +80,19 @@ class Flow:
         """
         if times is None:
             times, out = np.empty(0), State(*np.empty((2, 0, self.system.n, 3)))
-        status = radau.advance(
+        status = integration.advance(
             self.plant, self.symbolic, self.tables, self.control, motion, stop, steps,
             MOST_SWITCHES_PER_TURN, times, out.velocity_m_s, out.position_m,
         )
         where = f"at {motion.time[0]:.6g} s, after {motion.count[0]} steps"
-        if status == radau.STEP_TOO_SMALL:
+        if status == integration.STEP_TOO_SMALL:
             raise IntegrationError(f"the motion could not be continued {where}: steps too small")
-        if status == radau.TOO_MANY_SWITCHES:
+        if status == integration.TOO_MANY_SWITCHES:
             raise IntegrationError(
                 f"tethers chatter {where}: more than {MOST_SWITCHES_PER_TURN} slack/taut switches"
                 " without progress"
             )
-        return status == radau.REACHED
+        return status == integration.REACHED
 
 
 class Propagator:

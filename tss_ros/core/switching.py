@@ -1,0 +1,124 @@
+"""Slack/taut switches, Eq. (5): finding the first one of a step, and what it does to variations.
+
+Within a step every tether keeps its mode. The collocation polynomial of its stretch is searched for
+zeros in Bernstein form, where none can hide between sampling points.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tss_ros.core.forces import stretch
+from tss_ros.core.radau import add
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_zero(coefficient):
+    """First point of [0, 1] where a polynomial in Bernstein form becomes negative, or 2.
+
+    The polynomial is taken to start at or above zero. The convex hull of the coefficients bounds
+    it, so a piece is passed over only when it provably has no zero.
+
+    Parameters
+    ----------
+    coefficient : ndarray, shape (degree + 1,)
+
+    Returns
+    -------
+    float
+    """
+    count = coefficient.size
+    pieces = np.empty((64, count))
+    place = np.empty((64, 2))
+    pieces[0] = coefficient
+    pieces[0, 0] = max(coefficient[0], 0.0)
+    place[0] = 0.0, 1.0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        low, width = place[depth]
+        lowest = pieces[depth, 0]
+        for value in pieces[depth]:
+            lowest = min(lowest, value)
+        if lowest >= 0.0:
+            continue
+        if width < 1e-10 or depth > 61:
+            return low + width
+        left = np.empty(count)
+        work = pieces[depth].copy()
+        for level in range(count):
+            left[level] = work[0]
+            for i in range(count - 1 - level):
+                work[i] = 0.5 * (work[i] + work[i + 1])
+        pieces[depth] = work
+        place[depth] = low + 0.5 * width, 0.5 * width
+        pieces[depth + 1] = left
+        place[depth + 1] = low, 0.5 * width
+        depth += 2
+    return 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_switch(plant, tables, taut, v0, r0, rise):
+    """Earliest point of a step, as a fraction of it, where a tether leaves its mode; 2 if none.
+
+    Returns the fraction and the tether.
+    """
+    s, m = tables.stages, plant.rest.size
+    sample = np.empty((s + 1, m))
+    growth = np.empty(m)
+    r = r0.copy()
+    stretch(plant, v0, r, sample[0], growth)
+    for j in range(s):
+        r[:] = r0
+        add(r.reshape(-1), 1.0, rise[j].reshape(-1))
+        stretch(plant, v0, r, sample[j + 1], growth)
+    earliest, which = 2.0, -1
+    coefficient = np.empty(s + 1)
+    for k in range(m):
+        sign = 1.0 if taut[k] else -1.0
+        lowest = np.inf
+        for i in range(s + 1):
+            total = 0.0
+            for j in range(s + 1):
+                total += tables.bernstein[i, j] * sample[j, k]
+            coefficient[i] = sign * total
+            lowest = min(lowest, coefficient[i])
+        if lowest < 0.0:
+            zero = first_zero(coefficient)
+            if zero < earliest:
+                earliest, which = zero, k
+    return earliest, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def toggle(plant, motion, which, length_tolerance):
+    """Switch tether `which`, and any other on its edge and leaving its mode, at this instant.
+
+    Variations are multiplied by the saltation matrix, which for Eqs. (5)-(6) only adds the damping
+    of the relative displacement along the tether to the velocities (S = I for C = 0).
+    """
+    m = plant.rest.size
+    excess, growth = np.empty(m), np.empty(m)
+    stretch(plant, motion.v, motion.r, excess, growth)
+    for k in range(m):
+        leaving = (growth[k] < 0.0) == motion.taut[k]
+        if k != which and not (abs(excess[k]) <= length_tolerance and leaving):
+            continue
+        if not leaving:
+            continue
+        sign = -1.0 if motion.taut[k] else 1.0
+        motion.taut[k] = not motion.taut[k]
+        motion.count[3] += 1
+        i, j = plant.ends[k, 0], plant.ends[k, 1]
+        e = motion.r[i] - motion.r[j]
+        e /= math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+        for c in range(motion.x_v.shape[2]):
+            jump = 0.0
+            for p in range(3):
+                jump += e[p] * (motion.x_r[i, p, c] - motion.x_r[j, p, c])
+            jump *= sign * plant.damping[k]
+            for p in range(3):
+                motion.x_v[i, p, c] -= jump * e[p] * plant.inv_mass[i]
+                motion.x_v[j, p, c] += jump * e[p] * plant.inv_mass[j]
