@@ -200,7 +200,7 @@ def test_motion_agrees_with_scipy_on_the_printed_equations(damping, disturbance)
 
     x0 = np.concatenate([start.position_m.ravel(), start.velocity_m_s.ravel()])
     method = "Radau" if damping > 1000 else "DOP853"
-    solution = solve_ivp(derivative, (0, end), x0, method, rtol=1e-9, atol=1e-8, max_step=2.0)
+    solution = solve_ivp(derivative, (0, end), x0, method, rtol=1e-9, atol=1e-8, max_step=0.5)
     position, velocity = Propagator(system, -2.2, start).sample(np.array([0.5 * end, end]))
     assert np.abs(position[-1].ravel() - solution.y[:9, -1]).max() < 2e-3
     assert np.abs(velocity[-1].ravel() - solution.y[9:, -1]).max() < 2e-4
