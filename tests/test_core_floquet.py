@@ -81,6 +81,23 @@ def test_multipliers_known_to_be_on_the_unit_circle_are(damping):
     assert result.flow_error < 1e-8
 
 
+@pytest.mark.parametrize("w", [-2.9, -3.5])
+def test_six_bead_system_has_neutral_beads_and_exact_trivial_multipliers(w):
+    """The tethers' stretch decays, the swing of the light beads does not (paper, section 3.3)."""
+    system = ring(satellite_mass_kg=1000.0, beads_per_tether=1, bead_mass_kg=10.0)
+    result = compute_floquet(system, w)
+    assert Counter(result.family) == {
+        "centre of mass": 6, "spin": 2, "axis tilt": 4, "shape": 24,
+    }
+    assert result.verdict == "neutral"
+    shape = moduli(result, "shape")
+    assert np.count_nonzero(shape < 0.1) == 12  # six stretched segments
+    assert np.abs(shape[:6] - 1).max() < 1e-8  # three beads swinging out of the plane
+    assert result.trivial_error < 1e-8
+    assert result.det_z_error < 1e-8
+    assert result.flow_error < 1e-8
+
+
 def test_shape_decays_with_damping_and_only_then():
     assert compute_floquet(ring(), -2.5).verdict == "asymptotically stable"
     assert compute_floquet(ring(damping_n_s_per_m=0.0), -2.9).verdict == "neutral"

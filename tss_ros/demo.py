@@ -19,6 +19,7 @@ from tss_interfaces.msg import RecorderStatus
 
 from tss_ros import plots, review, scenario, stability
 from tss_ros.core import TssError, deviation
+from tss_ros.node_main import USER_ERRORS
 from tss_ros.recording import read_bag
 from tss_ros.topics import read_topics
 
@@ -334,7 +335,7 @@ def main(argv=None):
         signal.signal(number, lambda number, _: caught.append(number))
     try:
         make(options.output, caught)
-    except (TssError, OSError) as error:
+    except USER_ERRORS as error:
         print(f"\ndemo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -10,7 +10,7 @@ from tss_ros.core import blocklu, forces
 from tss_ros.core.errors import TssError
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import closure_residual, corrected, to_scaled, turn
-from tss_ros.core.steady_state import initial_state
+from tss_ros.core.steady_state import averaged_state, initial_state
 from tss_ros.core.system import State
 
 METHODS = ("monodromy", "frozen")
@@ -108,7 +108,8 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Start; `initial_state` if not given.
+        Start; if not given `initial_state`, and `averaged_state` where that leads to no motion
+        that closes.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -133,8 +134,8 @@ def compute_floquet(
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    origin = "as given"
-    if state is None:
+    given, origin = state, "the given state"
+    if given is None:
         state = initial_state(system, spin_rate_ratio)
         origin = state.origin
     length = np.max(np.linalg.norm(state.position_m, axis=1))
@@ -143,6 +144,13 @@ def compute_floquet(
     if method == "frozen":
         return _frozen(flow, state, initial_closure, switches, origin)
     latest = (corrected if correct else turn)(flow, state, cancelled)
+    if correct and given is None and latest.closure_residual > LARGEST_CLOSURE:
+        other = averaged_state(system, spin_rate_ratio)
+        if origin != other.origin:
+            second = corrected(flow, other, cancelled)
+            if second.closure_residual < latest.closure_residual:
+                latest, origin = second, other.origin
+                initial_closure, _ = closure_residual(flow, other, cancelled)
     multiplier, vectors = np.linalg.eig(latest.matrix)
     family = label(system, latest.start, vectors)
     on_circle = np.abs(np.abs(multiplier) - 1.0)
