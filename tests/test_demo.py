@@ -180,7 +180,7 @@ def test_demo_leaves_everything_it_promises(run_demo, tmp_path):
     assert [path.name for path in output.parent.iterdir()] == ["demo"]
     for name in demo.FILES:
         assert f"runs/demo/{name}" in process.stdout.splitlines()
-    assert "of 8, " in process.stdout and "12 of 12 rates" in process.stdout
+    assert "turn 8.0 of 8, " in process.stdout and "12 of 12 rates" in process.stdout
 
     recording = read_bag(output / "bag")
     np.testing.assert_array_equal(recording.step, np.arange(recording.step.size))

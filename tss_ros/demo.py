@@ -125,6 +125,7 @@ class Watch:
     """Looks after a running demo: call it several times a second while waiting for something.
 
     Shows how far things are, on one line of a terminal and elsewhere as a line per turn.
+    Attribute `heard` tells whether the recorder has reported.
 
     Parameters
     ----------
@@ -139,7 +140,8 @@ class Watch:
 
     def __init__(self, nodes, ros_node, turn_s, caught):
         self._nodes, self._turn_s, self._caught = nodes, turn_s, caught
-        self._turns = self._messages = self._rates = 0
+        self.heard = False
+        self._turns, self._messages, self._rates = 0.0, 0, 0
         self._state = self._shown = None
         self._changed = time.monotonic()
         qos = read_topics()["recorder_status"].qos
@@ -167,17 +169,19 @@ class Watch:
             raise TssError(f"nothing was recorded or computed for {STALL_S:g} s")
 
     def _on_status(self, status):
+        self.heard = True
         if status.messages:
-            self._turns = status.last_step * PUBLISH_PERIOD_S / self._turn_s
+            self._turns = max(0, status.last_step) * PUBLISH_PERIOD_S / self._turn_s
             self._messages = status.messages
 
     def _show(self):
-        line = f"turn {self._turns:.1f} of {TURNS}, {self._messages} messages recorded; "
+        turns = round(self._turns, 1)
+        line = f"turn {turns} of {TURNS}, {self._messages} messages recorded; "
         line += f"stability of {self._rates} of {len(RATES)} rates"
         if sys.stdout.isatty():
             print(f"\r\033[K{line}", end="", flush=True)
-        elif (int(self._turns), self._rates) != self._shown:
-            self._shown = (int(self._turns), self._rates)
+        elif (int(turns), self._rates) != self._shown:
+            self._shown = (int(turns), self._rates)
             print(line, flush=True)
 
 
@@ -247,6 +251,9 @@ def _run_nodes(directory, log_directory, turn_s, caught):
             watch = Watch(nodes, ros_node, turn_s, caught)
             nodes.start("logger_node", output=str(directory / "bag"))
             nodes.start("stability_node", scenario=SCENARIO)
+            while not watch.heard:  # else the first turns would go by unseen
+                rclpy.spin_once(ros_node, timeout_sec=0.1)
+                watch()
             nodes.start(
                 "sim_node",
                 scenario=SCENARIO,

@@ -3,6 +3,7 @@
 SI units. States are (n, 3) arrays in the orbit frame: y radially up, z along the orbit normal.
 """
 
+from tss_ros.core.critical import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.floquet import FAMILIES, METHODS, VERDICTS, FloquetResult, compute_floquet
 from tss_ros.core.forces import tether_state
@@ -12,11 +13,13 @@ from tss_ros.core.steady_state import averaged_state, deviation, disturbed, init
 from tss_ros.core.system import State, System
 
 __all__ = [
+    "CAUSES",
     "FAMILIES",
     "FORMATIONS",
     "METHODS",
     "VERDICTS",
     "Cancelled",
+    "CriticalRate",
     "FloquetResult",
     "IntegrationError",
     "Propagator",
@@ -30,6 +33,7 @@ __all__ = [
     "compute_floquet",
     "deviation",
     "disturbed",
+    "find_critical_rates",
     "formation",
     "initial_state",
     "ring",
