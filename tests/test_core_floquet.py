@@ -254,18 +254,6 @@ def test_numbering_of_the_satellites_does_not_matter(shift):
     np.testing.assert_allclose(second.matrix, same.reshape(18, 18), atol=1e-7 * scale)
 
 
-def test_units_do_not_matter():
-    """Same dimensionless groups, linear gravity: lengths and masses scaled, multipliers equal."""
-    small = ring(linear_gravity=True)
-    big = ring(
-        linear_gravity=True, satellite_mass_kg=700.0, tether_length_m=2e4,
-        axial_stiffness_n=5e4 * 14, damping_n_s_per_m=1450.0 * 7,
-    )
-    a, b = compute_floquet(small, -2.5), compute_floquet(big, -2.5)
-    np.testing.assert_allclose(np.abs(a.multiplier), np.abs(b.multiplier), atol=1e-3)
-    np.testing.assert_allclose(moduli(a, "shape"), moduli(b, "shape"), atol=1e-8)
-
-
 def test_bad_requests_are_named():
     with pytest.raises(TssError, match="method must be one of monodromy, frozen, got 'magic'"):
         compute_floquet(ring(), -2.5, "magic")

@@ -3,6 +3,7 @@
 SI units. States are (n, 3) arrays in the orbit frame: y radially up, z along the orbit normal.
 """
 
+from tss_ros.core.confirmation import Confirmation, confirm
 from tss_ros.core.critical import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.floquet import FAMILIES, METHODS, VERDICTS, FloquetResult, compute_floquet
@@ -19,6 +20,7 @@ __all__ = [
     "METHODS",
     "VERDICTS",
     "Cancelled",
+    "Confirmation",
     "CriticalRate",
     "FloquetResult",
     "IntegrationError",
@@ -31,6 +33,7 @@ __all__ = [
     "assemble",
     "averaged_state",
     "compute_floquet",
+    "confirm",
     "deviation",
     "disturbed",
     "find_critical_rates",

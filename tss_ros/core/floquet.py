@@ -21,6 +21,8 @@ VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion"
 LARGEST_CLOSURE = 1e-3
 #: Smallest distance from the unit circle that is ever called one.
 SMALLEST_TOLERANCE = 1e-6
+#: The same for multipliers in Jordan blocks, which split like the root of the matrix's error.
+SMALLEST_JORDAN_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class FloquetResult:
         exp(+-i Omega T), which theory puts on it. NaN for "frozen".
     jordan_error : float
         The same for the multipliers at 1 that come in Jordan blocks; about the square root of the
-        matrix's error. A distance beyond twice the square root of the closure residual is no
-        such split, and the motion is called unstable. NaN for "frozen".
+        matrix's error. A distance beyond 1e-3 and twice the square root of the closure
+        residual is no such split, and the motion is called unstable. NaN for "frozen".
     det_z_error : float
         |det Z - 1| of the out-of-plane block of a planar motion; NaN otherwise or for "frozen".
     flow_error : float
@@ -152,7 +154,7 @@ def compute_floquet(
                 latest, origin = second, other.origin
                 initial_closure, _ = closure_residual(flow, other, cancelled)
     multiplier, vectors = np.linalg.eig(latest.matrix)
-    family = label(system, latest.start, vectors)
+    family = label(system, latest.start, multiplier, vectors)
     on_circle = np.abs(np.abs(multiplier) - 1.0)
     centre = np.flatnonzero(family == FAMILIES[0])
     far_from_one = centre[np.argsort(-np.abs(multiplier[centre] - 1.0))]
@@ -160,7 +162,7 @@ def compute_floquet(
     jordan = float(np.max(on_circle[np.append(far_from_one[4:], np.flatnonzero(family == "spin"))]))
     tolerance = max(SMALLEST_TOLERANCE, 10.0 * trivial)
     closure = latest.closure_residual
-    jordan_tolerance = 2.0 * math.sqrt(closure + np.finfo(float).eps)
+    jordan_tolerance = max(SMALLEST_JORDAN_TOLERANCE, 2.0 * math.sqrt(closure))
     periodic = closure <= LARGEST_CLOSURE or not correct
     return _result(
         "monodromy", flow, multiplier, family, tolerance, periodic, jordan > jordan_tolerance,
@@ -195,9 +197,10 @@ def _frozen(flow, state, closure, switches, origin):
     matrix = frozen_jacobian(flow.system, state, flow.control.speed, flow.control.length)
     value, vectors = np.linalg.eig(matrix)
     period = 2.0 * math.pi / abs(flow.plant.spin)
-    family = label(flow.system, state, vectors)
+    multiplier = np.exp(value * period)
+    family = label(flow.system, state, multiplier, vectors)
     return _result(
-        "frozen", flow, np.exp(value * period), family, 1e-3, True, False,
+        "frozen", flow, multiplier, family, 1e-3, True, False,
         closure_residual=closure,
         initial_closure_residual=closure,
         trivial_error=math.nan,
@@ -264,16 +267,20 @@ def frozen_jacobian(system, state, speed=1.0, length=1.0):
     return matrix
 
 
-def label(system, state, vectors):
-    """Family of every eigenvector, by the share of its motion that is rigid.
+def label(system, state, multiplier, vectors):
+    """Family of every multiplier, by the share of its eigenvector's motion that is rigid.
+
+    Centre of mass and spin are also known to lie near the unit circle, and a multiplier lost in
+    rounding, whose vector means nothing, can only belong to a damped shape.
 
     Parameters
     ----------
     system : System
     state : State
         At which the vectors are taken.
+    multiplier : ndarray, shape (k,), complex
     vectors : ndarray, shape (6n, k), complex
-        Columns in scaled coordinates, velocities first.
+        Eigenvectors, columns in scaled coordinates, velocities first.
 
     Returns
     -------
@@ -302,6 +309,10 @@ def label(system, state, vectors):
         share.append(np.sum(np.abs(basis.T @ halves) ** 2, axis=(0, 1)) / whole)
         room.append(2 * basis.shape[1])
     share.append(1.0 - np.sum(share, axis=0))
+    modulus = np.maximum(np.abs(multiplier), 1e-300)
+    near_circle = 1.0 / (1.0 + np.abs(np.log(modulus)))
+    for rigid in range(3):
+        share[rigid] = share[rigid] * (near_circle if rigid < 2 else 1.0) * (modulus > 1e-10)
     room.append(6 * n - sum(room))
     slots = np.repeat(np.arange(4), room)
     rows, columns = linear_sum_assignment(-np.array(share).T[:, slots])

@@ -96,11 +96,12 @@ def _paper_configuration(system, spin, units):
     guess = np.full(per_unit, length / (2.0 * math.sin(math.pi / units)))
     if per_unit == 2:
         guess[1] *= math.cos(math.pi / units)
-    stiffness = np.min(system.axial_stiffness_n / system.rest_length_m) / np.max(system.mass_kg)
-    guess *= 1.0 + min(spin**2 / stiffness, 0.1)
+    stiffness = system.axial_stiffness_n / system.rest_length_m
+    guess *= 1.0 + min(spin**2 * np.max(system.mass_kg) / np.min(stiffness), 0.1)
     solution = root(imbalance, guess, tol=1e-14)
     error = np.max(np.abs(imbalance(solution.x))) / (spin**2 * np.max(solution.x))
-    if not error < 1e-8 or np.min(solution.x) <= 0.0:
+    rounding = 16 * np.finfo(float).eps * np.max(stiffness) / np.min(system.mass_kg) / spin**2
+    if not error < 1e-8 + rounding or np.min(solution.x) <= 0.0:
         raise TssError(
             f"no steady configuration found for spin_rate_ratio {spin / system.orbit_rate_rad_s:g}:"
             f" Eq. (51) is left with a relative imbalance of {error:.1e}"
