@@ -1,4 +1,4 @@
-"""The stability node as a real process: its service, its parameters, what it refuses."""
+"""The stability node as a real process: its services, its parameters, what it refuses."""
 
 import math
 
@@ -7,7 +7,8 @@ import pytest
 import ros_harness
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
-from tss_interfaces.srv import ComputeFloquet
+from scipy.optimize import brentq
+from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 # Table 1 of the paper, worked out here and not by the package.
 ORBIT_RATE = math.sqrt(3.986e14 / 7378e3**3)
@@ -38,11 +39,29 @@ def asked(tmp_path_factory):
 def compute(asked, rates, method="", **overrides):
     """Ask for multipliers; overrides are ParameterValue or float."""
     request = ComputeFloquet.Request(spin_rate_ratio=rates, method=method)
-    for name, value in overrides.items():
-        if not isinstance(value, ParameterValue):
-            value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        request.overrides.append(Parameter(name=name, value=value))
+    request.overrides = messages(overrides)
     return asked(ComputeFloquet, "compute_floquet", request)
+
+
+def find(asked, ratio_from, ratio_to, tolerance=0.005, **overrides):
+    """Ask for critical rates; overrides are ParameterValue or float."""
+    request = FindCriticalRates.Request(
+        spin_rate_ratio_from=ratio_from, spin_rate_ratio_to=ratio_to, tolerance=tolerance
+    )
+    request.overrides = messages(overrides)
+    return asked(FindCriticalRates, "find_critical_rates", request)
+
+
+def messages(overrides):
+    return [
+        Parameter(
+            name=name,
+            value=value
+            if isinstance(value, ParameterValue)
+            else ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value),
+        )
+        for name, value in overrides.items()
+    ]
 
 
 def integer(value):
@@ -158,6 +177,98 @@ def test_an_override_given_twice_is_refused(asked):
     request = ComputeFloquet.Request(spin_rate_ratio=[-2.5], overrides=twice)
     response = asked(ComputeFloquet, "compute_floquet", request)
     assert not response.success and "'bead_mass_kg' is given twice" in response.message
+
+
+def tension(ratio, damping_n_s_per_m):
+    """Smallest tension over a turn, to a factor, of Table 1's ring: its first zero is slackness.
+
+    Spin and the mean of gravity pull with w^2 + 2 w + 3/2; the gravity gradient turns twice a turn
+    with amplitude 3/2 + 3/2, which a tether with damping follows with the lag tau = C L / EA.
+    """
+    lag = 2.0 * ratio * ORBIT_RATE * damping_n_s_per_m * 1e4 / 5e4
+    return ratio**2 + 2.0 * ratio + 1.5 - 3.0 / math.hypot(1.0, lag)
+
+
+@pytest.mark.parametrize("ends", [(-2.4, -1.9), (-1.9, -2.4)], ids=["up", "down"])
+def test_tethers_first_go_slack_where_the_closed_form_says(asked, ends):
+    edge = brentq(tension, -2.4, -1.9, args=(1450.0,))
+    assert edge == pytest.approx(-2.17, abs=0.005)
+    response = find(asked, *ends, satellite_mass_kg=100.0)
+    assert response.success and response.message == ""
+    first, *rest = response.rates
+    assert first.cause == "first slack" and first.stable_side == -1
+    assert 0.0 < first.uncertainty <= 0.005
+    assert first.spin_rate_ratio == pytest.approx(edge, abs=first.uncertainty + 0.001)
+    assert all(rate.spin_rate_ratio > first.spin_rate_ratio for rate in rest)
+
+
+def test_with_strong_damping_the_tilting_axis_ends_stability_at_two(asked):
+    assert tension(-2.0, 3000.0) > 0.0
+    request = {"satellite_mass_kg": 100.0, "damping_n_s_per_m": 3000.0}
+    coarse, default = (
+        find(asked, -2.4, -1.9, tolerance, **request).rates for tolerance in (0.005, 0.0)
+    )
+    for rates, tolerance in ((coarse, 0.005), (default, 0.001)):
+        (edge,) = rates
+        assert edge.cause == "axis tilt" and edge.stable_side == -1
+        assert edge.uncertainty <= tolerance
+        assert edge.spin_rate_ratio == pytest.approx(-2.0, abs=tolerance)
+
+
+def test_a_search_remarks_on_what_it_left_out(asked):
+    response = find(asked, -0.01, 0.02, spin_rate_ratio=-3.0)
+    assert response.success and len(response.rates) == 0
+    assert "slower than 0.05" in response.message and "overrides" in response.message
+
+
+@pytest.mark.parametrize(
+    ("request_", "overrides", "expected"),
+    [
+        ((math.nan, -2.0), {}, ("spin_rate_ratio_from is nan", "-10000 to 10000")),
+        ((-2.0, math.inf), {}, ("spin_rate_ratio_to is inf", "-10000 to 10000")),
+        ((-2.0, 1e5), {}, ("spin_rate_ratio_to is 100000.0", "-10000 to 10000")),
+        ((-2.0, -2.0), {}, ("spin_rate_ratio_from", "0 apart", "more than 0, at most 20")),
+        ((-20.0, 20.0), {}, ("spin_rate_ratio_from", "40 apart", "at most 20 for 3 beads")),
+        ((-3.0, -2.0), {"satellites": integer(30)}, ("1 apart", "at most 0.02 for 30 beads")),
+        ((-3.0, -2.0, -0.01), {}, ("tolerance is -0.01", "1e-06 to 0.1")),
+        ((-3.0, -2.0, 1e-9), {}, ("tolerance is 1e-09", "1e-06 to 0.1")),
+        ((-3.0, -2.0, math.nan), {}, ("tolerance is nan", "1e-06 to 0.1")),
+        ((-3.0, -2.0), {"mass": 2.0}, ("'mass'", "satellite_mass_kg")),
+        ((-3.0, -2.0), {"satellites": integer(101)}, ("satellites", "101", "100")),
+    ],
+)
+def test_a_wrong_search_is_refused_in_words(asked, request_, overrides, expected):
+    response = find(asked, *request_, **overrides)
+    assert not response.success and len(response.rates) == 0
+    assert all(part in response.message for part in expected), response.message
+    assert find(asked, -2.6, -2.5).success
+
+
+def test_a_search_waits_for_a_computation_and_ends_with_the_node(tmp_path):
+    with (
+        ros_harness.processes(tmp_path) as start,
+        ros_harness.client_node() as (node, spin_until),
+    ):
+        process = start("stability_node", "-r", "__ns:=/queue")
+        prefix = "/queue/stability_node/"
+        compute = node.create_client(ComputeFloquet, prefix + "compute_floquet")
+        search = node.create_client(FindCriticalRates, prefix + "find_critical_rates")
+        for client in (compute, search):
+            spin_until(client.service_is_ready, ros_harness.START_S, "the services")
+        first = compute.call_async(ComputeFloquet.Request(spin_rate_ratio=[-2.5] * 100))
+        second = search.call_async(
+            FindCriticalRates.Request(spin_rate_ratio_from=-2.3, spin_rate_ratio_to=-2.2)
+        )
+        spin_until(lambda: first.done() or second.done(), 60, "an answer")
+        assert first.done() and first.result().success
+        spin_until(second.done, 60, "the other answer")
+        assert second.result().success
+        search.call_async(
+            FindCriticalRates.Request(spin_rate_ratio_from=-10.0, spin_rate_ratio_to=10.0)
+        )
+        process.wait_for_line("% of the interval searched")
+        assert process.stop() == 0, process.stderr
+    assert "Traceback" not in process.stderr
 
 
 def test_a_long_request_blocks_neither_parameters_nor_the_end(tmp_path):

@@ -1,5 +1,6 @@
 """The recorder node: writes every recorded topic to a bag, and shows it in Rerun while it does."""
 
+import collections
 import os
 import threading
 import time
@@ -35,9 +36,11 @@ class RecordedTopic:
     def __init__(self, node, topic, writer, on_message):
         self.name = topic.name
         self.stamp_offset = topic.stamp_offset
+        self.every_step = topic.durability == "volatile"
         self._message_class = topic.message_class
         self._on_message = on_message
         self._next_number = None
+        self.newest_ns = None
         self.subscription = node.create_subscription(
             topic.message_class, topic.name, self._take_waiting, topic.qos, raw=True
         )
@@ -84,6 +87,7 @@ class LoggerNode(TssNode):
         topics = read_topics()
         self._live = LiveFeed(self.get_logger()) if options["rerun"] else None
         self._last_step = self._reported_step = -1
+        self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._lost = self._newest_ns = 0
         self._topics = [
             RecordedTopic(self, topic, self._writer, self._on_message)
@@ -121,7 +125,7 @@ class LoggerNode(TssNode):
 
     def _on_message(self, topic, data, info):
         if topic.stamp_offset is not None:
-            self._newest_ns = stamp_ns(data, topic.stamp_offset)
+            self._newest_ns = topic.newest_ns = stamp_ns(data, topic.stamp_offset)
         number = info["publication_sequence_number"]
         lost = topic.lost_before(number)
         if lost:
@@ -134,9 +138,14 @@ class LoggerNode(TssNode):
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
-            self._last_step = step_number(data)
-            if abs(self._last_step - self._reported_step) >= STATUS_STEPS:
-                self._report()
+            self._incomplete.append((topic.newest_ns, step_number(data)))
+        # A topic may lag behind the others by seconds when the middleware repeats a message.
+        newest = [t.newest_ns for t in self._topics if t.every_step]
+        slowest_ns = min((time for time in newest if time is not None), default=-1)
+        while self._incomplete and self._incomplete[0][0] <= slowest_ns:
+            self._last_step = self._incomplete.popleft()[1]
+        if abs(self._last_step - self._reported_step) >= STATUS_STEPS:
+            self._report()
 
     def _report_regularly(self):
         while not self._stopping.wait(STATUS_PERIOD_S):

@@ -75,8 +75,9 @@ def run(node_class):
         node = node_class()
         executor.add_node(node)
         node.start()
-        if not told_to_stop.is_set():
-            executor.spin()
+        # Not spin(): rclpy's handler may wake the executor before it has shut the context down.
+        while not told_to_stop.is_set():
+            executor.spin_once(timeout_sec=0.5)
     except (KeyboardInterrupt, ExternalShutdownException, Finished):
         pass
     except Exception as error:

@@ -10,7 +10,13 @@ from geometry_msgs.msg import Point
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
-from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
+from tss_interfaces.msg import (
+    BeadStates,
+    CriticalRate,
+    FloquetResult,
+    SystemDescription,
+    TetherStates,
+)
 from visualization_msgs.msg import Marker, MarkerArray
 
 FRAME_ID = "orbit"
@@ -206,6 +212,13 @@ def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
     unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
     known = {"spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin_rate_rad_s}
     return FloquetResult(message=message, **{**unknown, **known})
+
+
+def critical_rate(rate):
+    """A core CriticalRate as a message; all fields have the same names."""
+    return CriticalRate(
+        **{name: getattr(rate, name) for name in CriticalRate.get_fields_and_field_types()}
+    )
 
 
 def _doubles(values):
