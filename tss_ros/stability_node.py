@@ -16,7 +16,8 @@ from tss_ros.node_main import TssNode, run
 from tss_ros.parameters import Parameter
 
 #: What one request may ask for: systems of this many beads, and rates times the cube of the beads
-#: (10 000 rates of three satellites, one of a hundred), so that any answer comes within minutes.
+#: (10 000 rates of three satellites, one of a hundred). Taut motions then take minutes at most;
+#: rates at which tethers go slack can take seconds each.
 MAX_BEADS, MAX_WORK = 100, 270_000
 #: The same for a search: width of its interval times the cube of the beads (20 for 3 satellites:
 #: some 400 rates, of which those with slack tethers take twenty times as long as others).
