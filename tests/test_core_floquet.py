@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -271,4 +270,3 @@ def test_slack_motion_carries_no_tension():
     assert np.any(~taut) and np.any(taut)
     assert np.all(tension[~taut] == 0.0)
     assert np.all((length > system.rest_length_m) == taut)
-    assert replace(system, bilateral=True).bilateral

@@ -64,6 +64,18 @@ def newton_matrices(symbolic, tables, h, by_r, by_v, real, cplx):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _climb(tables, h, v0, z, rise):
+    """Increments of position at every stage, from r' = v."""
+    for j in range(tables.stages):
+        for i in range(v0.shape[0]):
+            for q in range(3):
+                total = tables.c[j] * v0[i, q]
+                for k in range(tables.stages):
+                    total += tables.a[j, k] * z[k, i, q]
+                rise[j, i, q] = h * total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def solve_stages(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, real, cplx):
     """Solve the stage equations by simplified Newton iteration from the guess in `z`.
 
@@ -77,13 +89,10 @@ def solve_stages(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, 
     twist = np.empty((pairs, n, 3), dtype=np.complex128)
     before = np.inf
     for iteration in range(1, 16):
+        _climb(tables, h, v0, z, rise)
         for j in range(s):
             for i in range(n):
                 for q in range(3):
-                    total = tables.c[j] * v0[i, q]
-                    for k in range(s):
-                        total += tables.a[j, k] * z[k, i, q]
-                    rise[j, i, q] = h * total
                     r[i, q] = r0[i, q] + rise[j, i, q]
                     v[i, q] = v0[i, q] + z[j, i, q]
             acceleration(plant, taut, t + tables.c[j] * h, v, r, residual[j])
@@ -133,13 +142,7 @@ def solve_stages(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, 
         before = size
     else:
         return -15
-    for j in range(s):
-        for i in range(n):
-            for q in range(3):
-                total = tables.c[j] * v0[i, q]
-                for k in range(s):
-                    total += tables.a[j, k] * z[k, i, q]
-                rise[j, i, q] = h * total
+    _climb(tables, h, v0, z, rise)
     return iteration
 
 
