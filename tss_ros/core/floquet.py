@@ -7,7 +7,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core import blocklu, forces
-from tss_ros.core.errors import TssError
+from tss_ros.core.certificate import convergence_error, liouville_error, segment_error
+from tss_ros.core.errors import IntegrationError, TssError
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import closure_residual, corrected, to_scaled, turn
 from tss_ros.core.steady_state import averaged_state, initial_state
@@ -21,8 +22,8 @@ VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion"
 LARGEST_CLOSURE = 1e-3
 #: Smallest distance from the unit circle that is ever called one.
 SMALLEST_TOLERANCE = 1e-6
-#: The same for multipliers in Jordan blocks, which split like the root of the matrix's error.
-SMALLEST_JORDAN_TOLERANCE = 1e-3
+#: Smallest distance from 1 within which a multiplier may be part of a split Jordan block.
+SMALLEST_DRIFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class FloquetResult:
     spin_rate_rad_s, period_s : float
         omega [rad/s] and T = 2 pi / |omega| [s].
     multiplier : ndarray, shape (6n,), complex
-        Largest modulus first.
-    family : tuple of str, length 6n
+        Largest modulus first; empty if the motion was too chaotic for a matrix.
+    family : tuple of str, as long
         One of `FAMILIES` for each multiplier.
     max_modulus, max_modulus_nontrivial : float
         Over all, and over those of axis tilt and shape.
@@ -47,7 +48,9 @@ class FloquetResult:
         One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
         the centre of mass never decay, so Eq. (47) cannot hold for them.
     tolerance : float
-        Distance from the unit circle that the verdict counts as lying on it.
+        Distance from the unit circle that the verdict counts as lying on it. Near 1, within
+        twice the root of the closure residual, where the drift of a damped motion splits Jordan
+        blocks, three times `jordan_error` counts instead, if that is more.
     closure_residual : float
         |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
         speed.
@@ -58,13 +61,20 @@ class FloquetResult:
         exp(+-i Omega T), which theory puts on it. NaN for "frozen".
     jordan_error : float
         The same for the multipliers at 1 that come in Jordan blocks; about the square root of the
-        matrix's error. A distance beyond 1e-3 and twice the square root of the closure
-        residual is no such split, and the motion is called unstable. NaN for "frozen".
+        matrix's error. A distance beyond 1e-3 and twice the root of the closure residual is no
+        such split, and the motion is called unstable. NaN for "frozen".
     det_z_error : float
         |det Z - 1| of the out-of-plane block of a planar motion; NaN otherwise or for "frozen".
     flow_error : float
         Scaled error of M f(x(0)) = f(x(T)), which holds on every motion of the autonomous orbit
         frame, closed or not, and through every switch. NaN for "frozen".
+    segment_error, convergence_error : float
+        Largest change of a multiplier outside the Jordan blocks when the turn is cut into 3 and 7
+        parts whose matrices are multiplied, and when it is integrated a hundred times more
+        accurately. NaN if not certified.
+    liouville_error : float
+        Error of Liouville's formula for log|det M|, see `certificate.liouville_error`. NaN if not
+        certified.
     switches : int
         Slack/taut switches in the turn.
     state : State
@@ -91,12 +101,15 @@ class FloquetResult:
     flow_error: float
     switches: int
     state: State = field(repr=False)
+    segment_error: float = math.nan
+    convergence_error: float = math.nan
+    liouville_error: float = math.nan
     message: str = ""
 
 
 def compute_floquet(
     system, spin_rate_ratio, method="monodromy", state=None, correct=True, rtol=1e-9,
-    cancelled=None,
+    certify=True, cancelled=None,
 ):
     """Floquet multipliers at one spin rate.
 
@@ -116,6 +129,9 @@ def compute_floquet(
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
         Accuracy aimed at in state and matrix.
+    certify : bool
+        Measure the matrix also against the same turn cut into segments, a finer integration and
+        Liouville's formula: some four times the work of the matrix itself ("monodromy" only).
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
 
@@ -128,44 +144,77 @@ def compute_floquet(
     ------
     TssError
         For a value that is not allowed, or if no configuration to start from exists.
-    IntegrationError
-        If the motion could not be integrated over one turn.
     Cancelled
         If `cancelled` said so.
     """
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    given, origin = state, "the given state"
-    if given is None:
+    if state is None:
         state = initial_state(system, spin_rate_ratio)
-        origin = state.origin
+        starts = [(state, state.origin)]
+    else:
+        starts = [(state, "the given state")]
     length = np.max(np.linalg.norm(state.position_m, axis=1))
     flow = Flow(system, spin, rtol, length)
-    initial_closure, switches = closure_residual(flow, state, cancelled)
     if method == "frozen":
-        return _frozen(flow, state, initial_closure, switches, origin)
-    latest = (corrected if correct else turn)(flow, state, cancelled)
-    if correct and given is None and latest.closure_residual > LARGEST_CLOSURE:
-        other = averaged_state(system, spin_rate_ratio)
-        if origin != other.origin:
-            second = corrected(flow, other, cancelled)
-            if second.closure_residual < latest.closure_residual:
-                latest, origin = second, other.origin
-                initial_closure, _ = closure_residual(flow, other, cancelled)
+        return _frozen(flow, *starts[0], *closure_residual(flow, state, cancelled))
+    latest, failure = None, ""
+    for state, origin in starts:
+        try:
+            found = (corrected if correct else turn)(flow, state, cancelled)
+            if latest is None or found.closure_residual < latest.closure_residual:
+                latest, initial, source = found, state, origin
+        except IntegrationError as error:
+            failure = str(error)
+        closed = latest is not None and latest.closure_residual <= LARGEST_CLOSURE
+        if correct and not closed and origin.startswith("Eq"):
+            other = averaged_state(system, spin_rate_ratio)
+            starts.append((other, other.origin))
+    if latest is None:
+        return _nothing(flow, starts[0][0], failure)
+    return _judge(flow, latest, initial, source, correct, certify, cancelled)
+
+
+def _nothing(flow, state, reason):
+    """The result where no turn could be integrated with its variations."""
+    spin = flow.plant.spin
+    return FloquetResult(
+        "monodromy", spin / flow.system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin),
+        np.empty(0, dtype=complex), (), math.nan, math.nan, "no periodic motion", math.nan,
+        math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0, state, message=reason,
+    )
+
+
+def _judge(flow, latest, initial, origin, correct, certify, cancelled):
+    initial_closure, _ = closure_residual(flow, initial, cancelled)
     multiplier, vectors = np.linalg.eig(latest.matrix)
-    family = label(system, latest.start, multiplier, vectors)
+    family = label(flow.system, latest.start, multiplier, vectors)
     on_circle = np.abs(np.abs(multiplier) - 1.0)
     centre = np.flatnonzero(family == FAMILIES[0])
     far_from_one = centre[np.argsort(-np.abs(multiplier[centre] - 1.0))]
     trivial = float(np.max(on_circle[far_from_one[:4]]))
     jordan = float(np.max(on_circle[np.append(far_from_one[4:], np.flatnonzero(family == "spin"))]))
-    tolerance = max(SMALLEST_TOLERANCE, 10.0 * trivial)
     closure = latest.closure_residual
-    jordan_tolerance = max(SMALLEST_JORDAN_TOLERANCE, 2.0 * math.sqrt(closure))
+    drift = max(SMALLEST_DRIFT, 2.0 * math.sqrt(closure))
+    tolerance = np.where(
+        np.abs(multiplier - 1.0) <= drift, max(SMALLEST_TOLERANCE, 3.0 * jordan), 0.0
+    )
+    tolerance = np.maximum(tolerance, max(SMALLEST_TOLERANCE, 10.0 * trivial))
     periodic = closure <= LARGEST_CLOSURE or not correct
+    proofs = {}
+    if certify:
+
+        def settled(values):
+            return np.abs(values - 1.0) > drift
+
+        proofs = {
+            "segment_error": segment_error(latest, settled, cancelled),
+            "convergence_error": convergence_error(latest, settled, cancelled),
+            "liouville_error": liouville_error(latest, cancelled),
+        }
     return _result(
-        "monodromy", flow, multiplier, family, tolerance, periodic, jordan > jordan_tolerance,
+        "monodromy", flow, multiplier, family, tolerance, periodic, jordan > drift,
         closure_residual=closure,
         initial_closure_residual=initial_closure,
         trivial_error=trivial,
@@ -174,11 +223,12 @@ def compute_floquet(
         flow_error=_flow_error(latest),
         switches=latest.switches,
         state=latest.start,
-        message=_remark(origin, initial_closure, latest, correct, periodic),
+        message=_remark(origin, initial_closure, latest, correct, periodic, tolerance),
+        **proofs,
     )
 
 
-def _remark(origin, initial_closure, latest, correct, periodic):
+def _remark(origin, initial_closure, latest, correct, periodic, tolerance):
     words = f"start from {origin}"
     if correct:
         words += f", corrected from closure residual {initial_closure:.1e}"
@@ -186,10 +236,15 @@ def _remark(origin, initial_closure, latest, correct, periodic):
         words += f"; {latest.switches} slack/taut switches in the turn"
     if not periodic:
         words += "; no motion that closes was found, the multipliers are those of the best turn"
+    elif np.max(tolerance) > 1e-3:
+        words += (
+            f"; growth below {np.max(tolerance):.1e} a turn of multipliers near 1 is not told from"
+            " the drift of the spin"
+        )
     return words
 
 
-def _frozen(flow, state, closure, switches, origin):
+def _frozen(flow, state, origin, closure, switches):
     """Eqs. (34)-(47): the multipliers are exp(lambda T) for the eigenvalues lambda of J_0.
 
     A defective J_0 (43)-(45) only changes the vectors: P(T) still has these eigenvalues.
@@ -200,7 +255,7 @@ def _frozen(flow, state, closure, switches, origin):
     multiplier = np.exp(value * period)
     family = label(flow.system, state, multiplier, vectors)
     return _result(
-        "frozen", flow, multiplier, family, 1e-3, True, False,
+        "frozen", flow, multiplier, family, np.full(multiplier.size, 1e-3), True, False,
         closure_residual=closure,
         initial_closure_residual=closure,
         trivial_error=math.nan,
@@ -216,23 +271,23 @@ def _frozen(flow, state, closure, switches, origin):
 
 def _result(method, flow, multiplier, family, tolerance, periodic, drifting, **rest):
     order = np.argsort(-np.abs(multiplier), kind="stable")
-    multiplier, family = multiplier[order], family[order]
+    multiplier, family, tolerance = multiplier[order], family[order], tolerance[order]
     modulus = np.abs(multiplier)
-    shape = modulus[family == "shape"]
-    nontrivial = modulus[(family == "shape") | (family == "axis tilt")]
-    largest = float(np.max(nontrivial, initial=0.0))
+    shape = family == "shape"
+    nontrivial = shape | (family == "axis tilt")
     if not periodic:
         verdict = "no periodic motion"
-    elif largest > 1.0 + tolerance or drifting:
+    elif np.any(modulus[nontrivial] > 1.0 + tolerance[nontrivial]) or drifting:
         verdict = "unstable"
-    elif shape.size and np.max(shape) < 1.0 - tolerance:
+    elif shape.any() and np.all(modulus[shape] < 1.0 - tolerance[shape]):
         verdict = "asymptotically stable"
     else:
         verdict = "neutral"
     spin = flow.plant.spin
     return FloquetResult(
         method, spin / flow.system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin), multiplier,
-        tuple(str(name) for name in family), float(modulus[0]), largest, verdict, tolerance, **rest,
+        tuple(str(name) for name in family), float(modulus[0]),
+        float(np.max(modulus[nontrivial], initial=0.0)), verdict, float(np.min(tolerance)), **rest,
     )
 
 

@@ -230,7 +230,10 @@ def advance(
                     converged = True
                     break
             if not converged and target < 1e-10 * full:
+                before = motion.count[3]
                 toggle(plant, motion, which, 1e-12 * plant.rest[which])
+                if motion.count[3] == before:
+                    return STEP_TOO_SMALL
                 motion.time[1] = full
                 continue
             if not converged and iterations < 0:

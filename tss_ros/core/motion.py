@@ -34,7 +34,7 @@ class Flow:
     def __init__(self, system, spin_rate_rad_s, rtol, length_m, dense=False, stages=STAGES):
         if not 1e-13 <= rtol <= 1e-3:
             raise TssError(f"rtol must be from 1e-13 to 1e-3, got {rtol:g}")
-        self.system = system
+        self.system, self.rtol = system, rtol
         self.plant = forces.plant(system, spin_rate_rad_s)
         self.symbolic = blocklu.analyse(system.n, system.tether_ends)
         self.tables = collocation.radau(stages)

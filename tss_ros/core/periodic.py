@@ -7,11 +7,16 @@ import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.motion import Flow
+from tss_ros.core.symmetry import cyclic_symmetry
 from tss_ros.core.system import State
 
 #: Directions in which one turn changes a displacement by less than this are not corrected: they
 #: are the phases and rates that theory leaves free (multipliers 1 in Jordan blocks).
 FREE_DIRECTION = 1e-2
+#: Residual of a part of a turn from which on the whole turn is not corrected again.
+NEARLY_CLOSED = 1e-3
+#: Most integration steps of a turn; six slack beads at slow spin need some 2000.
+MOST_STEPS = 50_000
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ def from_scaled(flow, x):
     return State(r, v + spin * np.stack([-r[:, 1], r[:, 0], np.zeros(len(r))], axis=1))
 
 
-def turn(flow, state, cancelled=None, segments=1):
+def turn(flow, state, cancelled=None, segments=1, symmetry=None):
     """Integrate one turn with all variations, Eqs. (12)-(16).
 
     Parameters
@@ -80,6 +85,9 @@ def turn(flow, state, cancelled=None, segments=1):
         Asked now and then; a true answer stops the work.
     segments : int
         Cut the turn into equal parts, each with variations of its own, and multiply.
+    symmetry : Symmetry, optional
+        Integrate 1/order of a turn only, and rotate and rename its end so that a symmetric motion
+        closes.
 
     Returns
     -------
@@ -96,22 +104,41 @@ def turn(flow, state, cancelled=None, segments=1):
     motion = flow.begin(state, 2 * half)
     scale = np.repeat([flow.control.speed, flow.control.length], half)
     matrix = np.eye(2 * half)
-    period = 2.0 * math.pi / abs(flow.plant.spin)
+    period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     for segment in range(segments):
-        motion.x_v[:] = (np.eye(half, 2 * half) * scale[:half, None]).reshape(motion.x_v.shape)
-        motion.x_r[:] = (np.eye(half, 2 * half, half) * scale[half:, None]).reshape(
-            motion.x_r.shape
-        )
+        seed_variations(motion, scale)
         while not flow.advance(motion, period * (segment + 1) / segments, steps=50):
-            if cancelled is not None and cancelled():
-                raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
+            _look(motion, period, cancelled)
+            if (growth := np.max(np.abs(motion.x_v)) / flow.control.speed) > 1.0 / flow.rtol:
+                raise IntegrationError(
+                    f"the motion is chaotic: variations grew {growth:.0e} times until"
+                    f" {motion.time[0]:.6g} s of a turn of {period:.6g} s, after"
+                    f" {motion.count[3]} slack/taut switches"
+                )
         part = np.concatenate([motion.x_v, motion.x_r]).reshape(2 * half, 2 * half)
         matrix = (part / scale[:, None]) @ matrix
     x = np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
+    if symmetry:
+        x, matrix = (symmetry.back(flow.plant.spin < 0.0, part) for part in (x, matrix))
     return Turn(
         state, from_scaled(flow, x), matrix, x - to_scaled(flow, state), int(motion.count[3]),
         int(motion.count[0]), float(motion.dissipation[0]), flow,
     )
+
+
+def seed_variations(motion, scale):
+    """Set the variations of a `integration.Motion` to unit displacements in scaled coordinates.
+
+    Parameters
+    ----------
+    motion : integration.Motion
+        With 6n columns.
+    scale : ndarray, shape (6n,)
+        Units of velocity [m/s], then of position [m].
+    """
+    half = scale.size // 2
+    motion.x_v[:] = (np.eye(half, 2 * half) * scale[:half, None]).reshape(motion.x_v.shape)
+    motion.x_r[:] = (np.eye(half, 2 * half, half) * scale[half:, None]).reshape(motion.x_r.shape)
 
 
 def closure_residual(flow, state, cancelled=None):
@@ -136,20 +163,32 @@ def closure_residual(flow, state, cancelled=None):
     motion = flow.begin(state)
     period = 2.0 * math.pi / abs(flow.plant.spin)
     while not flow.advance(motion, period, steps=500):
-        if cancelled is not None and cancelled():
-            raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
+        _look(motion, period, cancelled)
     x = np.concatenate(
         [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
     )
     return float(np.linalg.norm(x - to_scaled(flow, state))), int(motion.count[3])
 
 
+def _look(motion, period, cancelled):
+    """Stop a turn that is cancelled, or that takes more steps than any motion worth a matrix."""
+    if cancelled is not None and cancelled():
+        raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
+    if motion.count[0] > MOST_STEPS:
+        raise IntegrationError(
+            f"more than {MOST_STEPS} steps until {motion.time[0]:.6g} s of a turn of"
+            f" {period:.6g} s, with {motion.count[3]} slack/taut switches"
+        )
+
+
 def corrected(flow, state, cancelled=None, iterations=8):
     """Shoot for the periodic motion next to `state`, or the one of least residual.
 
-    With damping no motion with varying lengths closes exactly (the Jacobi energy falls); the
-    iteration then stops where the residual no longer falls. Weakly damped tethers ring for many
-    turns when started off their slow motion, so these are first corrected with added damping.
+    Where equal satellites make the formation symmetric, a part of the turn is shot for first: that
+    is cheaper and keeps the motion symmetric. With damping no motion with varying lengths closes
+    exactly (the Jacobi energy falls); the iteration then stops where the residual no longer falls.
+    Weakly damped tethers ring for many turns when started off their slow motion, so these are
+    first corrected with added damping.
 
     Parameters
     ----------
@@ -171,9 +210,15 @@ def corrected(flow, state, cancelled=None, iterations=8):
     Cancelled
         If `cancelled` said so.
     """
+    symmetry = cyclic_symmetry(flow.system)
+    symmetry = symmetry if symmetry.order > 1 else None
     calm = _with_enough_damping(flow.system)
     if calm is not flow.system:
-        state = _shoot(flow.of(calm), state, cancelled, iterations).start
+        state = _shoot(flow.of(calm), state, cancelled, iterations, symmetry).start
+    if symmetry:
+        best = _shoot(flow, state, cancelled, iterations, symmetry)
+        if best.closure_residual <= NEARLY_CLOSED:
+            state = best.start
     return _shoot(flow, state, cancelled, iterations)
 
 
@@ -189,8 +234,8 @@ def _with_enough_damping(system):
     )
 
 
-def _shoot(flow, state, cancelled, iterations):
-    latest = best = turn(flow, state, cancelled)
+def _shoot(flow, state, cancelled, iterations, symmetry=None):
+    latest = best = turn(flow, state, cancelled, symmetry=symmetry)
     for _ in range(iterations):
         u, s, vt = np.linalg.svd(latest.matrix - np.eye(latest.closure.size))
         bound = s > FREE_DIRECTION
@@ -198,7 +243,7 @@ def _shoot(flow, state, cancelled, iterations):
         change *= min(1.0, 0.2 / max(np.max(np.abs(change)), 1e-300))
         state = from_scaled(flow, to_scaled(flow, latest.start) + change)
         try:
-            latest = turn(flow, state, cancelled)
+            latest = turn(flow, state, cancelled, symmetry=symmetry)
         except IntegrationError:
             break
         gain = latest.closure_residual / best.closure_residual

@@ -1,0 +1,94 @@
+"""Cyclic symmetry of a formation of equal satellites: a part of a turn, seen as a whole one.
+
+If turning the formation by 1/k of a circle puts every bead in the place of an equal one, then
+after T/k of its periodic motion each bead has come to where another began. The orbit frame is
+autonomous, so the motion closes over T as soon as it does over T/k with the beads renamed.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """Rotation by 1/order of a circle about z.
+
+    Attributes
+    ----------
+    order : int
+        k; 1 if the formation has no such symmetry.
+    successor : ndarray, shape (n,), int
+        The bead in whose place each bead comes to lie by a counter-clockwise rotation of
+        2 pi / k.
+    """
+
+    order: int
+    successor: np.ndarray
+
+    def back(self, clockwise, x):
+        """Rotate and rename scaled coordinates (6n, ...) so that 1/k of a turn becomes none.
+
+        Parameters
+        ----------
+        clockwise : bool
+            Sense of the spin.
+        x : ndarray, shape (6n, ...)
+            In the turning frame after T/k.
+
+        Returns
+        -------
+        ndarray, shape (6n, ...)
+            In the turning frame at time 0, each bead's row with the one whose place it took.
+        """
+        angle = 2.0 * math.pi / self.order * (-1.0 if clockwise else 1.0)
+        c, s = math.cos(angle), math.sin(angle)
+        before = x.reshape(2, self.successor.size, 3, -1)
+        turned = np.array(before)
+        turned[:, :, 0] = c * before[:, :, 0] - s * before[:, :, 1]
+        turned[:, :, 1] = s * before[:, :, 0] + c * before[:, :, 1]
+        after = np.empty_like(turned)
+        if clockwise:
+            after[:] = turned[:, self.successor]
+        else:
+            after[:, self.successor] = turned
+        return after.reshape(x.shape)
+
+
+def cyclic_symmetry(system):
+    """The finest rotation about z that maps a system's layout, masses and tethers on themselves.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    Symmetry
+    """
+    place = system.layout_m - np.average(system.layout_m, axis=0, weights=system.mass_kg)
+    size = np.max(np.linalg.norm(place, axis=1))
+    tree = cKDTree(place)
+    tethers = _tethers(system, np.arange(system.n))
+    for order in range(system.n, 1, -1):
+        c, s = math.cos(2.0 * math.pi / order), math.sin(2.0 * math.pi / order)
+        distance, successor = tree.query(place @ np.array([[c, s, 0.0], [-s, c, 0.0], [0, 0, 1]]))
+        if (
+            np.max(distance) < 1e-9 * size
+            and np.unique(successor).size == system.n
+            and np.array_equal(system.mass_kg[successor], system.mass_kg)
+            and np.array_equal(_tethers(system, successor), tethers)
+        ):
+            return Symmetry(order, successor)
+    return Symmetry(1, np.arange(system.n))
+
+
+def _tethers(system, name):
+    """The renamed tethers with their properties, in an order that does not depend on names."""
+    ends = np.sort(name[system.tether_ends], axis=1)
+    rows = np.column_stack(
+        [ends, system.rest_length_m, system.axial_stiffness_n, system.damping_n_s_per_m]
+    )
+    return rows[np.lexsort(rows.T[::-1])]
