@@ -4,7 +4,7 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-EXECUTABLES = ("sim_node", "stability_node", "logger_node", "stability", "review", "demo")
+EXECUTABLES = ("sim_node", "stability_node", "logger_node", "stability", "sweep", "review", "demo")
 
 setup(
     name="tss_ros",

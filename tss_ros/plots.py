@@ -204,6 +204,54 @@ def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, met
     return figure
 
 
+def stability_map(parameter, rows):
+    """Verdicts and critical rates over spin rate and the values of a parameter.
+
+    Parameters
+    ----------
+    parameter : str
+        Label of the abscissa.
+    rows : sequence of (str, float, list, list)
+        For each system its label, the parameter's value (NaN for none: rows then stand side by
+        side under their labels), its FloquetResults and its CriticalRates.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = Figure(figsize=(8.0, 5.5), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    place = [i if np.isnan(value) else value for i, (_, value, _, _) in enumerate(rows)]
+    for name, style in VERDICT_STYLES.items():
+        points = [
+            (x, result.spin_rate_ratio)
+            for x, (_, _, results, _) in zip(place, rows)
+            for result in results
+            if result.verdict == name
+        ]
+        if points:
+            axes.plot(*zip(*points), linestyle="", markersize=4, label=name, **style)
+    causes = sorted({rate.cause for *_, rates in rows for rate in rates})
+    for i, cause in enumerate(causes):
+        points = np.array(
+            [
+                (x, rate.spin_rate_ratio, rate.uncertainty)
+                for x, (*_, rates) in zip(place, rows)
+                for rate in rates
+                if rate.cause == cause
+            ]
+        )
+        axes.errorbar(
+            *points.T, fmt=MARKERS[i % len(MARKERS)], color=COLOURS[i % len(COLOURS)],
+            markersize=6, markerfacecolor="none", capsize=3, label=f"critical: {cause}",
+        )
+    if any(np.isnan(value) for _, value, _, _ in rows):
+        axes.set_xticks(place, [label for label, *_ in rows], rotation=20, ha="right")
+    _finish(axes, parameter, "spin rate over orbital rate, ω/Ω [-]")
+    _legend_below(figure, axes, columns=3)
+    return figure
+
+
 def _series_style(i):
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]}
 

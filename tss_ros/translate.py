@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from tss_interfaces.msg import (
     BeadStates,
+    Confirmation,
     CriticalRate,
     FloquetResult,
     SystemDescription,
@@ -193,15 +194,16 @@ class StepMessages:
         return marker
 
 
-def floquet_result(result):
-    """A core FloquetResult as a message; all fields but the multipliers have the same names."""
+def floquet_result(result, confirmation=None):
+    """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
     return FloquetResult(
         multiplier_real=_doubles(result.multiplier.real),
         multiplier_imag=_doubles(result.multiplier.imag),
+        confirmation=[_same_fields(Confirmation, confirmation)] if confirmation else [],
         **{
             name: getattr(result, name)
             for name in FloquetResult.get_fields_and_field_types()
-            if not name.startswith("multiplier")
+            if not name.startswith(("multiplier", "confirmation"))
         },
     )
 
@@ -216,9 +218,11 @@ def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
 
 def critical_rate(rate):
     """A core CriticalRate as a message; all fields have the same names."""
-    return CriticalRate(
-        **{name: getattr(rate, name) for name in CriticalRate.get_fields_and_field_types()}
-    )
+    return _same_fields(CriticalRate, rate)
+
+
+def _same_fields(kind, value):
+    return kind(**{name: getattr(value, name) for name in kind.get_fields_and_field_types()})
 
 
 def _doubles(values):

@@ -10,9 +10,13 @@ from tss_ros.core.motion import Propagator
 from tss_ros.core.steady_state import deviation, disturbed, initial_state
 from tss_ros.core.system import finite
 
+#: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
+SMALL, STILL_SMALL = 1e-7, 1e-3
+#: How far the undisturbed motion may have come from its start after whole turns, over the radius.
+STILL_CLOSED = 0.1
 #: Samples in each turn.
 SAMPLES = 200
-#: A formation is lost when a bead's distance from the centre of mass leaves its start by this much.
+#: A formation is lost when a bead leaves its place by this share of the radius.
 LOST = 0.2
 
 
@@ -23,14 +27,16 @@ class Confirmation:
     Attributes
     ----------
     held : bool
-        No bead left its distance from the centre of mass by more than `LOST`.
+        No bead left its distance from the centre of mass, nor its undisturbed height over the
+        orbit plane, by more than `LOST`.
     turns_to_settle : float
         Turns after which the deviation from the undisturbed motion, measured from the centre of
         mass, stays below a tenth of its largest value; infinity if it does not.
-    tilt_per_turn : float
-        Factor by which the largest distance from the orbit plane grows a turn, fitted over the
-        second half of the run: to be compared with the axis tilt's multiplier. NaN for a
-        disturbance within the plane.
+    growth_per_turn : float
+        Factor by which a very small disturbance of the shape and the tilt grows a turn, fitted
+        over the second half of the turns in which it stays small: to be compared with the largest
+        non-trivial multiplier. A drift in proportion to time shows as about 1 + 1/turns. NaN if
+        it does not stay small, or the undisturbed motion does not stay closed, for four turns.
     deviation_from_origin, deviation_from_centre : float
         Largest |d_i| of Eq. (53), measured from the frame's origin and from the instantaneous
         centre of mass.
@@ -45,12 +51,39 @@ class Confirmation:
 
     held: bool
     turns_to_settle: float
-    tilt_per_turn: float
+    growth_per_turn: float
     deviation_from_origin: float
     deviation_from_centre: float
     switches: int
     turns: np.ndarray
     history: np.ndarray
+
+    def agrees_with(self, result):
+        """Whether this motion is what a `FloquetResult` at its rate says.
+
+        A formation said to be stable holds. One without a periodic motion is lost or does not
+        settle. One that is unstable is lost, or departs at least as fast as the root of the largest
+        multiplier.
+
+        Parameters
+        ----------
+        result : FloquetResult
+
+        Returns
+        -------
+        bool or None
+            None if the multipliers grow so slowly that `turns` do not tell it from a drift in
+            proportion to time.
+        """
+        if result.verdict in ("neutral", "asymptotically stable"):
+            return self.held
+        if not self.held:
+            return True
+        if result.verdict == "no periodic motion":
+            return math.isinf(self.turns_to_settle)
+        if result.max_modulus < 1.0 + 2.0 / self.turns[-1] or math.isnan(self.growth_per_turn):
+            return None
+        return self.growth_per_turn > result.max_modulus**0.5
 
 
 def confirm(
@@ -93,32 +126,46 @@ def confirm(
     weight = system.mass_kg / np.sum(system.mass_kg)
 
     def run(start):
-        motion = Propagator(system, spin_rate_ratio, start)
+        motion = Propagator(system, spin_rate_ratio, start, rtol=1e-12)
         position, _ = motion.sample(times, cancelled)
         centre = np.einsum("i,kic->kc", weight, position)
-        return position, np.linalg.norm(position - centre[:, None], axis=2), motion.switches
+        return position, position - centre[:, None], motion.switches
 
-    _, calm, _ = run(state)
+    undisturbed, calm, _ = run(state)
     position, pushed, switches = run(disturbed(state, disturbance_m, seed))
     radius = np.linalg.norm(state.position_m, axis=1)
     size = np.max(radius)
     beyond = radius > 1e-6 * size
-    history = np.max(np.abs(pushed - calm), axis=1) / size
-    from_centre = np.max(np.abs(pushed - pushed[0]), initial=0.0) / size
-    height = np.max(np.abs(position[:-1, :, 2]).reshape(turns, -1), axis=1)
-    late = np.arange(turns // 2, turns)
-    tilt = math.nan
-    if late.size > 1 and np.all(height[late] > 0.0):
-        tilt = math.exp(np.polyfit(late, np.log(height[late]), 1)[0])
+    distance = np.linalg.norm(pushed, axis=2)
+    history = np.max(np.abs(distance - np.linalg.norm(calm, axis=2)), axis=1) / size
+    from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
+    height = np.max(np.abs(position - undisturbed)[:, :, 2]) / size
+    _, nudged, _ = run(disturbed(state, SMALL * size, seed))
     loud = np.flatnonzero(history > 0.1 * np.max(history))
     settled = loud[-1] + 1 < len(times) - SAMPLES // 2
     return Confirmation(
-        bool(from_centre < LOST),
+        bool(from_centre < LOST and height < LOST),
         float(times[loud[-1] + 1] / period) if settled else math.inf,
-        tilt,
+        _growth(nudged, calm, size),
         float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
         float(from_centre),
         switches,
         times / period,
         history,
     )
+
+
+def _growth(nudged, calm, size):
+    """Growth a turn of the difference between two motions in shape and tilt, (k, n, 3) each."""
+    shape = np.linalg.norm(nudged, axis=2) - np.linalg.norm(calm, axis=2)
+    tilt = nudged[:, :, 2] - calm[:, :, 2]
+    difference = np.linalg.norm(np.concatenate([shape, tilt], axis=1), axis=1) / size
+    largest = np.max(difference[1:].reshape(-1, SAMPLES), axis=1)
+    # An unstable motion leaves its own start too, and then is no longer what the matrix is of.
+    own = np.max(np.linalg.norm(calm - calm[0], axis=2)[SAMPLES::SAMPLES], axis=1) / size
+    over = np.append((largest > STILL_SMALL) | (own > STILL_CLOSED), True)
+    turns = int(np.argmax(over))
+    if turns < 4:
+        return math.nan
+    late = np.arange(turns // 2, turns)
+    return math.exp(np.polyfit(late, np.log(largest[late]), 1)[0])

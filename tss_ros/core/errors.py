@@ -9,5 +9,9 @@ class IntegrationError(TssError):
     """The motion could not be continued (the text says where it stopped and why)."""
 
 
+class NoSteadyState(TssError):
+    """The system has no rotating configuration to start from at this spin rate."""
+
+
 class Cancelled(TssError):
     """The caller asked a long computation to stop."""

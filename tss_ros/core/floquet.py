@@ -1,21 +1,21 @@
 """Floquet multipliers of a spinning formation: true, Eqs. (12)-(27), and frozen, Eqs. (34)-(47)."""
 
+import contextlib
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core import blocklu, forces
 from tss_ros.core.certificate import convergence_error, liouville_error, segment_error
-from tss_ros.core.errors import IntegrationError, TssError
+from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
+from tss_ros.core.families import FAMILIES, label
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import closure_residual, corrected, to_scaled, turn
-from tss_ros.core.steady_state import averaged_state, initial_state
+from tss_ros.core.steady_state import averaged_state, initial_state, rotating
 from tss_ros.core.system import State
 
 METHODS = ("monodromy", "frozen")
-FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
 VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion")
 
 #: Largest scaled closure residual of a motion that is still called periodic.
@@ -39,7 +39,7 @@ class FloquetResult:
     spin_rate_rad_s, period_s : float
         omega [rad/s] and T = 2 pi / |omega| [s].
     multiplier : ndarray, shape (6n,), complex
-        Largest modulus first; empty if the motion was too chaotic for a matrix.
+        Largest modulus first; empty if there is no configuration or the motion is chaotic.
     family : tuple of str, as long
         One of `FAMILIES` for each multiplier.
     max_modulus, max_modulus_nontrivial : float
@@ -143,18 +143,22 @@ def compute_floquet(
     Raises
     ------
     TssError
-        For a value that is not allowed, or if no configuration to start from exists.
+        For a value that is not allowed.
     Cancelled
         If `cancelled` said so.
     """
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
+    origin = "the given state"
     if state is None:
-        state = initial_state(system, spin_rate_ratio)
-        starts = [(state, state.origin)]
-    else:
-        starts = [(state, "the given state")]
+        try:
+            state = initial_state(system, spin_rate_ratio)
+        except NoSteadyState as error:
+            state = State(system.layout_m, rotating(system.layout_m, spin))
+            return _nothing(method, system, spin, state, str(error))
+        origin = state.origin
+    starts = [(state, origin)]
     length = np.max(np.linalg.norm(state.position_m, axis=1))
     flow = Flow(system, spin, rtol, length)
     if method == "frozen":
@@ -169,18 +173,18 @@ def compute_floquet(
             failure = str(error)
         closed = latest is not None and latest.closure_residual <= LARGEST_CLOSURE
         if correct and not closed and origin.startswith("Eq"):
-            other = averaged_state(system, spin_rate_ratio)
-            starts.append((other, other.origin))
+            with contextlib.suppress(NoSteadyState):
+                other = averaged_state(system, spin_rate_ratio)
+                starts.append((other, other.origin))
     if latest is None:
-        return _nothing(flow, starts[0][0], failure)
+        return _nothing(method, system, spin, starts[0][0], failure)
     return _judge(flow, latest, initial, source, correct, certify, cancelled)
 
 
-def _nothing(flow, state, reason):
-    """The result where no turn could be integrated with its variations."""
-    spin = flow.plant.spin
+def _nothing(method, system, spin, state, reason):
+    """The result where there is no configuration, or no turn could be integrated."""
     return FloquetResult(
-        "monodromy", spin / flow.system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin),
+        method, spin / system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin),
         np.empty(0, dtype=complex), (), math.nan, math.nan, "no periodic motion", math.nan,
         math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0, state, message=reason,
     )
@@ -320,60 +324,6 @@ def frozen_jacobian(system, state, speed=1.0, length=1.0):
     matrix = matrix.reshape(6 * n, 6 * n)
     matrix[3 * n :, : 3 * n] = np.eye(3 * n) * (speed / length)
     return matrix
-
-
-def label(system, state, multiplier, vectors):
-    """Family of every multiplier, by the share of its eigenvector's motion that is rigid.
-
-    Centre of mass and spin are also known to lie near the unit circle, and a multiplier lost in
-    rounding, whose vector means nothing, can only belong to a damped shape.
-
-    Parameters
-    ----------
-    system : System
-    state : State
-        At which the vectors are taken.
-    multiplier : ndarray, shape (k,), complex
-    vectors : ndarray, shape (6n, k), complex
-        Eigenvectors, columns in scaled coordinates, velocities first.
-
-    Returns
-    -------
-    ndarray, shape (k,), str
-        Values of `FAMILIES`. A planar formation has 6, 2, 4 and 6n - 12 of them.
-    """
-    n = system.n
-    weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
-    centre = np.average(state.position_m, axis=0, weights=system.mass_kg)
-    arm = (state.position_m - centre) / np.max(np.linalg.norm(state.position_m, axis=1))
-    axes = np.eye(3)
-    fields = [
-        [np.tile(axis, (n, 1)) for axis in axes],
-        [np.cross(axes[2], arm)],
-        [np.cross(axes[0], arm), np.cross(axes[1], arm)],
-    ]
-    found, share, room = np.empty((3 * n, 0)), [], []
-    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
-    whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
-    for family in fields:
-        basis = np.stack([(weight * f).ravel() for f in family], axis=1)
-        basis -= found @ (found.T @ basis)
-        left, size, _ = np.linalg.svd(basis, full_matrices=False)
-        basis = left[:, size > 1e-6 * math.sqrt(n)]
-        found = np.concatenate([found, basis], axis=1)
-        share.append(np.sum(np.abs(basis.T @ halves) ** 2, axis=(0, 1)) / whole)
-        room.append(2 * basis.shape[1])
-    share.append(1.0 - np.sum(share, axis=0))
-    modulus = np.maximum(np.abs(multiplier), 1e-300)
-    near_circle = 1.0 / (1.0 + np.abs(np.log(modulus)))
-    for rigid in range(3):
-        share[rigid] = share[rigid] * (near_circle if rigid < 2 else 1.0) * (modulus > 1e-10)
-    room.append(6 * n - sum(room))
-    slots = np.repeat(np.arange(4), room)
-    rows, columns = linear_sum_assignment(-np.array(share).T[:, slots])
-    names = np.empty(len(rows), dtype=object)
-    names[rows] = np.array(FAMILIES, dtype=object)[slots[columns]]
-    return names
 
 
 def _det_z_error(latest):

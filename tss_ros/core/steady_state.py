@@ -9,7 +9,7 @@ from scipy.sparse import bmat, csc_matrix
 from scipy.sparse.linalg import splu
 
 from tss_ros.core import blocklu, forces
-from tss_ros.core.errors import TssError
+from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.system import State, finite
 
 
@@ -42,7 +42,9 @@ def initial_state(system, spin_rate_ratio):
     Raises
     ------
     TssError
-        If the rate is not allowed or no steady configuration was found.
+        If the rate is not allowed.
+    NoSteadyState
+        If no steady configuration was found.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     units = ring_units(system)
@@ -102,7 +104,7 @@ def _paper_configuration(system, spin, units):
     error = np.max(np.abs(imbalance(solution.x))) / (spin**2 * np.max(solution.x))
     rounding = 16 * np.finfo(float).eps * np.max(stiffness) / np.min(system.mass_kg) / spin**2
     if not error < 1e-8 + rounding or np.min(solution.x) <= 0.0:
-        raise TssError(
+        raise NoSteadyState(
             f"no steady configuration found for spin_rate_ratio {spin / system.orbit_rate_rad_s:g}:"
             f" Eq. (51) is left with a relative imbalance of {error:.1e}"
         )
@@ -124,6 +126,8 @@ def averaged_state(system, spin_rate_ratio):
     Raises
     ------
     TssError
+        If the rate is not allowed.
+    NoSteadyState
         If none was found near the system's layout.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
@@ -185,7 +189,7 @@ def averaged_state(system, spin_rate_ratio):
         taut = stretched
     left = np.max(np.abs(force)) / scale
     if not left < 1e-9 + rounding:
-        raise TssError(
+        raise NoSteadyState(
             f"no steady configuration found for spin_rate_ratio"
             f" {spin_rate_ratio:g}: forces are left with a relative imbalance of {left:.1e}"
         )

@@ -1,0 +1,62 @@
+"""Families of motion that Floquet multipliers belong to."""
+
+import math
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
+
+
+def label(system, state, multiplier, vectors):
+    """Family of every multiplier, by the share of its eigenvector's motion that is rigid.
+
+    Centre of mass and spin are also known to lie near the unit circle, and a multiplier lost in
+    rounding, whose vector means nothing, can only belong to a damped shape.
+
+    Parameters
+    ----------
+    system : System
+    state : State
+        At which the vectors are taken.
+    multiplier : ndarray, shape (k,), complex
+    vectors : ndarray, shape (6n, k), complex
+        Eigenvectors, columns in scaled coordinates, velocities first.
+
+    Returns
+    -------
+    ndarray, shape (k,), str
+        Values of `FAMILIES`. A planar formation has 6, 2, 4 and 6n - 12 of them.
+    """
+    n = system.n
+    weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
+    centre = np.average(state.position_m, axis=0, weights=system.mass_kg)
+    arm = (state.position_m - centre) / np.max(np.linalg.norm(state.position_m, axis=1))
+    axes = np.eye(3)
+    fields = [
+        [np.tile(axis, (n, 1)) for axis in axes],
+        [np.cross(axes[2], arm)],
+        [np.cross(axes[0], arm), np.cross(axes[1], arm)],
+    ]
+    found, share, room = np.empty((3 * n, 0)), [], []
+    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
+    for family in fields:
+        basis = np.stack([(weight * f).ravel() for f in family], axis=1)
+        basis -= found @ (found.T @ basis)
+        left, size, _ = np.linalg.svd(basis, full_matrices=False)
+        basis = left[:, size > 1e-6 * math.sqrt(n)]
+        found = np.concatenate([found, basis], axis=1)
+        share.append(np.sum(np.abs(basis.T @ halves) ** 2, axis=(0, 1)) / whole)
+        room.append(2 * basis.shape[1])
+    share.append(1.0 - np.sum(share, axis=0))
+    modulus = np.maximum(np.abs(multiplier), 1e-300)
+    near_circle = 1.0 / (1.0 + np.abs(np.log(modulus)))
+    for rigid in range(3):
+        share[rigid] = share[rigid] * (near_circle if rigid < 2 else 1.0) * (modulus > 1e-10)
+    room.append(6 * n - sum(room))
+    slots = np.repeat(np.arange(4), room)
+    rows, columns = linear_sum_assignment(-np.array(share).T[:, slots])
+    names = np.empty(len(rows), dtype=object)
+    names[rows] = np.array(FAMILIES, dtype=object)[slots[columns]]
+    return names
