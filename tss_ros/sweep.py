@@ -35,6 +35,7 @@ class Row:
     value: float
     system: System
     results: list = field(default_factory=list)
+    frozen: list = field(default_factory=list)
     rates: list = field(default_factory=list)
     checks: list = field(default_factory=list)
 
@@ -98,7 +99,12 @@ def compute(
     Cancelled
         If `cancelled` said so; rows then hold what was done.
     """
-    jobs = [(row, "results", Rate(row.system, float(ratio))) for row in rows for ratio in ratios]
+    jobs = [
+        (row, kind, Rate(row.system, float(ratio), method))
+        for row in rows
+        for ratio in ratios
+        for kind, method in (("results", "monodromy"), ("frozen", "frozen"))
+    ]
     if interval:
         jobs += [(row, "rates", Interval(row.system, *interval, tolerance)) for row in rows]
     failure = _run(jobs, workers, told, cancelled)
@@ -148,10 +154,13 @@ def table(rows):
     lines = []
     for row in rows:
         lines.append(row.label)
+        frozen = {result.spin_rate_ratio: result.max_modulus for result in row.frozen}
         for result in row.results:
+            ratio = result.spin_rate_ratio
             lines.append(
-                f"  {result.spin_rate_ratio:9.4f}  {result.verdict:22}"
-                f"  |rho| {result.max_modulus_nontrivial:10.6f}"
+                f"  {ratio:9.4f}  {result.verdict:22}"
+                f"  |rho| {result.max_modulus_nontrivial:11.6f}"
+                f"  (frozen {frozen.get(ratio, math.nan):.6f})"
                 f"  closure {result.closure_residual:.0e}  switches {result.switches}"
             )
         for rate in row.rates:
@@ -183,9 +192,10 @@ def _check(result, seen):
 
 
 def write_csv(rows, folder):
-    """Write `multipliers.csv` and `critical_rates.csv`, as far as there are any, into a folder."""
+    """Write the tables of multipliers and of critical rates into a folder, those there are."""
     for name, fields, kind in (
         ("multipliers.csv", RATE_FIELDS, "results"),
+        ("frozen_multipliers.csv", RATE_FIELDS, "frozen"),
         ("critical_rates.csv", CRITICAL_FIELDS, "rates"),
     ):
         lines = [
@@ -262,7 +272,7 @@ def _parse(arguments):
         type=float,
         default=(),
         metavar=("FROM", "TO", "COUNT"),
-        help="multipliers at so many spin rates",
+        help="multipliers at so many spin rates, beside those of the frozen method",
     )
     parser.add_argument(
         "--critical",

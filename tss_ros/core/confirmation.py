@@ -12,8 +12,8 @@ from tss_ros.core.system import finite
 
 #: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
 SMALL, STILL_SMALL = 1e-7, 1e-3
-#: How far the undisturbed motion may have come from its start after whole turns, over the radius.
-STILL_CLOSED = 0.1
+#: How far the undisturbed motion's shape may be from its start after whole turns, over the radius.
+STILL_CLOSED = 0.01
 #: Samples in each turn.
 SAMPLES = 200
 #: A formation is lost when a bead leaves its place by this share of the radius.
@@ -162,7 +162,8 @@ def _growth(nudged, calm, size):
     difference = np.linalg.norm(np.concatenate([shape, tilt], axis=1), axis=1) / size
     largest = np.max(difference[1:].reshape(-1, SAMPLES), axis=1)
     # An unstable motion leaves its own start too, and then is no longer what the matrix is of.
-    own = np.max(np.linalg.norm(calm - calm[0], axis=2)[SAMPLES::SAMPLES], axis=1) / size
+    distance = np.linalg.norm(calm, axis=2)[::SAMPLES] / size
+    own = np.max(np.abs(distance - distance[0])[1:], axis=1)
     over = np.append((largest > STILL_SMALL) | (own > STILL_CLOSED), True)
     turns = int(np.argmax(over))
     if turns < 4:
