@@ -145,7 +145,7 @@ def advance(
     middle = s // 2
     trial_v, trial_r = np.empty((n, 3)), np.empty((n, 3))
     made, most_switches = 0, motion.count[3] + switches
-    grown = True
+    grown, ceiling = True, np.inf
     _sample(plant, tables, motion, times, out_v, out_r)
     while True:
         t = motion.time[0]
@@ -155,7 +155,7 @@ def advance(
             return PAUSED
         if motion.count[3] > most_switches:
             return TOO_MANY_SWITCHES
-        h = min(motion.time[1], control.longest)
+        h = min(motion.time[1], control.longest, ceiling)
         last = t + 1.01 * h >= stop
         if last:
             h = stop - t
@@ -184,7 +184,8 @@ def advance(
         if iterations < 0:
             motion.count[1] += 1
             motion.time[1] = 0.4 * h
-            grown = False
+            # Newton's iteration, not the error, bounds the steps here: come near that size slowly.
+            grown, ceiling = False, 0.6 * h
             continue
         acceleration(plant, motion.taut, t, v0, r0, f0)
         error = error_estimate(
@@ -269,9 +270,16 @@ def advance(
         add(motion.v.reshape(-1), 1.0, z[s - 1].reshape(-1))
         add(motion.r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
         motion.time[0] = stop if last else t + h
+        ceiling *= 1.2
         if which >= 0 or not last:
             motion.time[1] = full * min(max(factor_of, 0.1), 8.0)
         if which >= 0:
             toggle(plant, motion, which, 1e-12 * plant.rest[which])
+            ceiling = np.inf
             motion.time[1] = min(motion.time[1], 0.2 * full)
+            if motion.taut[which]:
+                i, j = plant.ends[which]
+                weight = plant.inv_mass[i] + plant.inv_mass[j]
+                rate = plant.damping[which] * weight + math.sqrt(plant.stiffness[which] * weight)
+                motion.time[1] = min(motion.time[1], 2.0 / rate)
         _sample(plant, tables, motion, times, out_v, out_r)
