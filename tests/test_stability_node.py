@@ -1,5 +1,6 @@
 """The stability node as a real process: its services, its parameters, what it refuses."""
 
+import csv
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ import ros_harness
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from scipy.optimize import brentq
+from tss_interfaces.msg import FloquetResult
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 # Table 1 of the paper, worked out here and not by the package.
@@ -36,9 +38,9 @@ def asked(tmp_path_factory):
         assert "Traceback" not in process.stderr
 
 
-def compute(asked, rates, method="", **overrides):
-    """Ask for multipliers; overrides are ParameterValue or float."""
-    request = ComputeFloquet.Request(spin_rate_ratio=rates, method=method)
+def compute(asked, rates, method="", fields=None, **overrides):
+    """Ask for multipliers; overrides are ParameterValue or float, `fields` other fields."""
+    request = ComputeFloquet.Request(spin_rate_ratio=rates, method=method, **(fields or {}))
     request.overrides = messages(overrides)
     return asked(ComputeFloquet, "compute_floquet", request)
 
@@ -112,6 +114,95 @@ def test_answers_come_in_the_order_of_the_rates(asked):
             multiplier = np.array(result.multiplier_real) + 1j * np.array(result.multiplier_imag)
             assert len(multiplier) == len(result.family) == 18
             assert result.max_modulus == pytest.approx(np.abs(multiplier).max(), rel=1e-12)
+
+
+def test_certificates_are_small_and_can_be_left_out(asked):
+    (certified,) = compute(asked, [-2.5]).results
+    (plain,) = compute(asked, [-2.5], fields={"certify": False}).results
+    for name in ("trivial", "flow", "det_z"):
+        assert 0.0 <= getattr(certified, f"{name}_error") < 1e-6
+        assert getattr(plain, f"{name}_error") == getattr(certified, f"{name}_error")
+    for name in ("segment", "convergence", "liouville"):
+        assert 0.0 <= getattr(certified, f"{name}_error") < 1e-6
+        assert math.isnan(getattr(plain, f"{name}_error"))
+    assert plain.multiplier_real == certified.multiplier_real
+    assert not certified.confirmation
+
+
+def test_a_simulation_confirms_the_verdicts(asked):
+    # Strong damping keeps the tethers taut where the axis tilts over: growth is a multiplier's.
+    fields = {"confirm_turns": 12, "confirm_disturbance_m": 5.0}
+    response = compute(asked, [-2.5, -2.0], fields=fields, damping_n_s_per_m=1450.0)
+    tilting = compute(asked, [-1.9], fields=fields, damping_n_s_per_m=5000.0)
+    assert response.success and tilting.success
+    stable, lost, tilted = *response.results, *tilting.results
+    assert stable.verdict == "asymptotically stable" and stable.confirmation[0].held
+    assert stable.confirmation[0].turns_to_settle < 12
+    assert lost.verdict in ("unstable", "no periodic motion") and not lost.confirmation[0].held
+    assert tilted.verdict == "unstable" and tilted.max_modulus_nontrivial > 1.05
+    for result in (stable, tilted):
+        growth = result.confirmation[0].growth_per_turn
+        assert growth == pytest.approx(result.max_modulus_nontrivial, rel=0.02)
+    again = compute(asked, [-2.5], fields=fields, damping_n_s_per_m=1450.0).results[0]
+    other = compute(asked, [-2.5], fields={**fields, "confirm_seed": 1}, damping_n_s_per_m=1450.0)
+    assert again.confirmation == stable.confirmation
+    assert other.results[0].confirmation != stable.confirmation
+    frozen = compute(asked, [-2.5], "frozen", fields)
+    assert "confirm_turns has no effect" in frozen.message and not frozen.results[0].confirmation
+
+
+@pytest.mark.parametrize(
+    ("rates", "fields", "satellites", "expected"),
+    [
+        (1, {"confirm_turns": 1001}, 3, ("confirm_turns is 1001", "0 to 1000")),
+        (1, {"confirm_turns": 334}, 30, ("confirm_turns is 334", "0 to 333")),
+        (134, {"confirm_turns": 1000}, 3, ("134 rates", "1 to 133 for 3 beads and 1000 turns")),
+        (30_001, {"certify": False}, 3, ("30001 rates", "1 to 30000")),
+        *(
+            (
+                1,
+                {"confirm_turns": 8, "confirm_disturbance_m": value},
+                3,
+                (f"confirm_disturbance_m is {value}", "1e-06 to 1000000"),
+            )
+            for value in (math.nan, math.inf, 0.0, -1.0, 2e6)
+        ),
+    ],
+)
+def test_a_wrong_confirmation_is_refused_in_words(asked, rates, fields, satellites, expected):
+    response = compute(asked, [-2.5] * rates, "", fields, satellites=integer(satellites))
+    assert not response.success and len(response.results) == 0
+    assert all(part in response.message for part in expected), response.message
+
+
+def test_the_client_shows_and_writes_errors_and_confirmations(asked, tmp_path):
+    arguments = ["-2.5", "-3", "--confirm", "8", "--csv", "a.csv"]
+    client = ros_harness.Process("stability", tmp_path, arguments)
+    assert client.wait(ros_harness.START_S) == 0, client.stderr
+    heading, *lines = client.stdout.splitlines()
+    shown = heading.split("closure")[1].split()
+    assert shown == ["error", "held", "settled", "[turns]", "growth", "message"]
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(lines) == len(rows) == 2
+    fields = {"confirm_turns": 8}
+    for line, row, result in zip(lines, rows, compute(asked, [-2.5, -3.0], "", fields).results):
+        (confirmation,) = result.confirmation
+        assert row["confirmation_held"] == "True" and " True " in line
+        assert float(row["confirmation_growth_per_turn"]) == confirmation.growth_per_turn
+        assert f"{confirmation.growth_per_turn:.6f}" in line
+        assert float(row["segment_error"]) == result.segment_error
+        worst = max(
+            result.trivial_error,
+            result.flow_error,
+            result.segment_error,
+            result.convergence_error,
+            result.liouville_error,
+        )
+        assert float(row["error"]) == worst and f" {worst:.1e} " in line
+    without = ros_harness.Process("stability", tmp_path, ["-2.5", "--method", "frozen"])
+    assert without.wait(ros_harness.START_S) == 0, without.stderr
+    assert "held" not in without.stdout and " nan " in without.stdout
 
 
 def test_overrides_replace_the_nodes_own_parameters(asked):
@@ -255,7 +346,10 @@ def test_a_search_waits_for_a_computation_and_ends_with_the_node(tmp_path):
         search = node.create_client(FindCriticalRates, prefix + "find_critical_rates")
         for client in (compute, search):
             spin_until(client.service_is_ready, ros_harness.START_S, "the services")
-        first = compute.call_async(ComputeFloquet.Request(spin_rate_ratio=[-2.5] * 100))
+        begun = []
+        node.create_subscription(FloquetResult, "/queue/stability_results", begun.append, 100)
+        first = compute.call_async(ComputeFloquet.Request(spin_rate_ratio=[-2.5] * 40))
+        spin_until(lambda: begun, 30, "a first result")
         second = search.call_async(
             FindCriticalRates.Request(spin_rate_ratio_from=-2.3, spin_rate_ratio_to=-2.2)
         )

@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import math
 import os
 import sys
 import time
@@ -13,7 +14,7 @@ from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
-from tss_interfaces.msg import FloquetResult
+from tss_interfaces.msg import Confirmation, FloquetResult
 from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
@@ -22,24 +23,38 @@ from tss_ros.node_main import USER_ERRORS
 
 #: Rates asked for at a time, so that progress shows and Ctrl-C is heard between the answers.
 BATCH = 4
-#: All fields of a result but the multipliers.
-CSV_FIELDS = [
-    name
-    for name, kind in FloquetResult.get_fields_and_field_types().items()
-    if not kind.startswith("sequence")
-]
+#: What must be small for a result to be right; a jordan_error is the root of such an error.
+ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
+#: Headings, and formats of what `flat` makes of a result.
 TABLE = (
-    ("rate/Omega", "{0.spin_rate_ratio:.6g}"),
-    ("period [s]", "{0.period_s:.1f}"),
-    ("max |rho|", "{0.max_modulus:.6f}"),
-    ("non-trivial", "{0.max_modulus_nontrivial:.6f}"),
-    ("verdict", "{0.verdict}"),
-    ("closure", "{0.closure_residual:.1e}"),
-    ("message", "{0.message}"),
+    ("rate/Omega", "{spin_rate_ratio:.6g}"),
+    ("period [s]", "{period_s:.1f}"),
+    ("max |rho|", "{max_modulus:.6f}"),
+    ("non-trivial", "{max_modulus_nontrivial:.6f}"),
+    ("verdict", "{verdict}"),
+    ("closure", "{closure_residual:.1e}"),
+    ("error", "{error:.1e}"),
+    ("message", "{message}"),
+)
+CONFIRMED_TABLE = (
+    *TABLE[:-1],
+    ("held", "{confirmation_held}"),
+    ("settled [turns]", "{confirmation_turns_to_settle:.1f}"),
+    ("growth", "{confirmation_growth_per_turn:.6f}"),
+    TABLE[-1],
 )
 
 
-def compute(node, service, rates, method="", overrides=(), on_wait=None, patience_s=10.0):
+def compute(
+    node,
+    service,
+    rates,
+    method="",
+    overrides=(),
+    on_wait=None,
+    patience_s=10.0,
+    confirm_turns=0,
+):
     """Ask a stability node for the multipliers at some spin rates.
 
     Parameters
@@ -57,6 +72,8 @@ def compute(node, service, rates, method="", overrides=(), on_wait=None, patienc
         Called several times a second with the number of rates answered so far.
     patience_s : float
         How long to wait for the service to appear [s].
+    confirm_turns : int
+        Length of a disturbed simulation beside every verdict [turns]; 0 for none.
 
     Returns
     -------
@@ -91,6 +108,7 @@ def compute(node, service, rates, method="", overrides=(), on_wait=None, patienc
                 spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
                 method=method,
                 overrides=list(overrides),
+                confirm_turns=confirm_turns,
             )
             answer = client.call_async(request)
             while not answer.done():
@@ -106,6 +124,22 @@ def compute(node, service, rates, method="", overrides=(), on_wait=None, patienc
         node.destroy_client(client)
 
 
+def flat(result):
+    """All fields of a result but the multipliers as a dict.
+
+    Those of its confirmation are named confirmation_*, NaN if there is none; `error` is the largest
+    of `ERRORS` that is known.
+    """
+    fields = FloquetResult.get_fields_and_field_types().items()
+    cells = {name: getattr(result, name) for name, kind in fields if "sequence" not in kind}
+    errors = [cells[f"{name}_error"] for name in ERRORS]
+    cells["error"] = max((e for e in errors if not math.isnan(e)), default=math.nan)
+    for name in Confirmation.get_fields_and_field_types():
+        values = [getattr(confirmation, name) for confirmation in result.confirmation]
+        cells[f"confirmation_{name}"] = values[0] if values else math.nan
+    return cells
+
+
 def format_table(results, columns=TABLE):
     """The results as lines of aligned columns, with a heading.
 
@@ -113,14 +147,15 @@ def format_table(results, columns=TABLE):
     ----------
     results : sequence of tss_interfaces.msg.FloquetResult
     columns : sequence of (str, str)
-        Headings, and formats of a result.
+        Headings, and formats of what `flat` makes of a result.
 
     Returns
     -------
     str
     """
     rows = [[heading for heading, _ in columns]]
-    rows += [[cell.format(result) for _, cell in columns] for result in results]
+    cells = [flat(result) for result in results]
+    rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
     left = {"verdict", "message"}
     return "\n".join(
@@ -133,11 +168,11 @@ def format_table(results, columns=TABLE):
 
 
 def write_csv(results, path):
-    """Write the results, one rate per row, with the field names of FloquetResult as heading."""
+    """Write the results, one rate per row, with the names of `flat` as heading."""
     with Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(CSV_FIELDS)
-        writer.writerows([getattr(result, field) for field in CSV_FIELDS] for result in results)
+        writer = csv.DictWriter(file, list(flat(FloquetResult())))
+        writer.writeheader()
+        writer.writerows(map(flat, results))
 
 
 def figure(results, method):
@@ -174,10 +209,11 @@ def main(argv=None):
             options.method,
             options.override,
             show,
+            confirm_turns=options.confirm,
         )
         if show:
             print(file=sys.stderr)
-        print(format_table(results))
+        print(format_table(results, CONFIRMED_TABLE if options.confirm else TABLE))
         if options.csv:
             write_csv(results, options.csv)
         if options.plot:
@@ -218,6 +254,13 @@ def _parse(arguments):
         metavar="NAME=VALUE",
         help="a parameter that differs from the node's, e.g. satellite_mass_kg=50 or =50,60,70",
     )
+    parser.add_argument(
+        "--confirm",
+        type=int,
+        default=0,
+        metavar="TURNS",
+        help="simulate each disturbed formation for so many turns beside its verdict",
+    )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
@@ -229,6 +272,8 @@ def _parse(arguments):
     )
     if (options.first is None) != (options.last is None):
         parser.error("--from and --to go together")
+    if not 0 <= options.confirm < 2**32:
+        parser.error(f"--confirm is {options.confirm}; allowed: a number of turns, 0 for none")
     if options.first is not None:
         if options.count < 1:
             parser.error(f"--count is {options.count}; allowed: 1 or more")
