@@ -8,12 +8,15 @@ from pathlib import Path
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from tss_ros.core import TssError
 
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+#: What a user may change by the parameters qos_overrides.<topic>.<publisher or subscription>.*.
+OVERRIDABLE = (QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,39 @@ class Topic:
             if not (first.startswith("sequence<") and "/" in first):
                 return None
             offset, name = offset + 4, _base_type(first)
+
+
+def create_publisher(node, topic):
+    """Publish a topic, with its QoS as the parameters `qos_overrides.*` of the node say.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topic : Topic
+
+    Returns
+    -------
+    rclpy.publisher.Publisher
+
+    Raises
+    ------
+    TssError
+        If an override is not possible, or if the topic's message package is not installed.
+    """
+    try:
+        message_class = topic.message_class
+    except ModuleNotFoundError as error:
+        raise TssError(f"{topic.name} needs the package {error.name}, not installed here") from None
+    qos, options = topic.qos, QoSOverridingOptions(OVERRIDABLE)
+    try:
+        publisher = node.create_publisher(
+            message_class, topic.name, qos, qos_overriding_options=options
+        )
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise TssError(f"qos_overrides of {topic.name}: {error}") from None
+    if not qos.depth >= 1:
+        raise TssError(f"qos_overrides of {topic.name}: depth is {qos.depth}; allowed: 1 or more")
+    return publisher
 
 
 @functools.cache
