@@ -24,7 +24,12 @@ from tss_interfaces.msg import (
     SimulationStatus,
     SystemDescription,
 )
-from tss_interfaces.srv import ResetSimulation, SetSimulationState, StepSimulation
+from tss_interfaces.srv import (
+    GetSimulationState,
+    ResetSimulation,
+    SetSimulationState,
+    StepSimulation,
+)
 
 #: How long [s] a loaded machine may take to start a node; the first one may compile the core.
 START_S = 90.0
@@ -209,7 +214,7 @@ class Simulator:
     def __init__(self, node, spin_until, namespace=""):
         self.node, self.spin_until = node, spin_until
         self.beads, self.events, self.status, self.descriptions, self.clocks = [], [], [], [], []
-        self._name = f"{namespace}/sim_node"
+        self._name, self._clients = f"{namespace}/sim_node", {}
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for kind, topic, kept, qos in (
             (BeadStates, "bead_states", self.beads, 1000),
@@ -223,9 +228,17 @@ class Simulator:
 
     def ask(self, kind, timeout_s=60.0, **fields):
         """Call the simulator's service of this type and return its answer."""
-        snake = re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
-        request = kind.Request(**fields)
-        return call(self.node, self.spin_until, kind, f"{self._name}/{snake}", request, timeout_s)
+        answer = self.begin(kind, **fields)
+        self.spin_until(answer.done, timeout_s, f"an answer to {kind.__name__} {fields}")
+        return answer.result()
+
+    def begin(self, kind, **fields):
+        """Call the simulator's service of this type and return the future of its answer."""
+        if kind not in self._clients:
+            snake = re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+            self._clients[kind] = self.node.create_client(kind, f"{self._name}/{snake}")
+        self.spin_until(self._clients[kind].service_is_ready, START_S, kind.__name__)
+        return self._clients[kind].call_async(kind.Request(**fields))
 
     def do(self, kind, **fields):
         """Call a service and expect it to do what it is asked for."""
@@ -255,10 +268,8 @@ class Simulator:
 
     def join(self):
         """With a paused simulator: begin a run of which every step arrives; forget all before."""
-        while not self.beads:
+        while not (self.beads and self.status):
             self.do(StepSimulation, steps=1)
-            until = time.monotonic() + 0.5
-            self.spin_until(lambda: self.beads or time.monotonic() > until, 5, "a step")
         self.do(ResetSimulation)
         newest = self.settled()
         self.spin_until(lambda: self.events and self.events[-1].step == newest.step, 5, "an event")
@@ -274,9 +285,14 @@ class Simulator:
         return next(message for message in self.beads if message.step >= step)
 
     def settled(self):
-        """The newest BeadStates, once all that was published is here."""
+        """The newest BeadStates, once all that was published until now is here."""
+        now_ns = time.time_ns()
+        self.do(GetSimulationState)  # a status goes before every answer
         self.spin_until(
-            lambda: self.status and self.beads and self.status[-1].step == self.beads[-1].step,
+            lambda: (
+                time_ns(self.status[-1].stamp) >= now_ns
+                and self.beads[-1].step == self.status[-1].step
+            ),
             10,
             "the step that the status names",
         )

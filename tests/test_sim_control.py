@@ -29,30 +29,47 @@ PERIOD_S = 2.0
 RING = ring(satellite_mass_kg=100.0)
 
 
+GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 10, "disturbance_seed": 3}
+CHANGED = ("spin_rate_ratio", "satellites", "satellite_mass_kg", "axial_stiffness_n")
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """One simulator for many tests."""
+    directory = tmp_path_factory.mktemp("simulator")
+    with ros_harness.processes(directory) as start, ros_harness.client_node() as (node, spin_until):
+        process = start("sim_node", start_paused=True, **GIVEN)
+        simulator = ros_harness.Simulator(node, spin_until)
+        simulator.start, simulator.directory = start, directory
+        yield simulator
+        assert process.stop() == 0
+        assert "rror" not in process.stderr, process.stderr
+
+
+@pytest.fixture
+def paused(served):
+    """A simulator that stands at the beginning of a run."""
+    assert served.set(time_scale=100, **GIVEN, **dict.fromkeys(CHANGED)).successful
+    if state_of(served) != SimulationState.STATE_PAUSED:
+        served.pause()
+    served.join()
+    return served
+
+
 @pytest.fixture
 def started(tmp_path):
-    """A function that starts a simulator and returns its process and a Simulator."""
+    """A function that starts a simulator of its own and returns its process and a Simulator."""
     with ros_harness.processes(tmp_path) as start, ros_harness.client_node() as (node, spin_until):
 
         def begin(**parameters):
-            given = {"publish_period_s": PERIOD_S, "disturbance_m": 10, "disturbance_seed": 3}
-            process = start("sim_node", **{**given, **parameters})
-            simulator = ros_harness.Simulator(node, spin_until)
-            simulator.start = start
+            namespace = ("-r", "__ns:=/own")  # the other one may be running
+            process = start("sim_node", *namespace, **{**GIVEN, **parameters})
+            simulator = ros_harness.Simulator(node, spin_until, "/own")
+            simulator.start = lambda executable, **given: start(executable, *namespace, **given)
             spin_until(lambda: simulator.status, ros_harness.START_S, "the simulator")
             return process, simulator
 
         yield begin
-
-
-@pytest.fixture
-def paused(started):
-    """A simulator that stands at the beginning of a run."""
-    process, simulator = started(start_paused=True)
-    simulator.join()
-    yield simulator
-    assert process.stop() == 0
-    assert "rror" not in process.stderr, process.stderr
 
 
 def state_of(simulator):
@@ -91,9 +108,10 @@ def test_it_plays_pauses_steps_and_plays_on(paused):
 
 
 def test_steps_that_are_interrupted_say_so(paused):
-    client = paused.node.create_client(StepSimulation, "/sim_node/step_simulation")
-    answer = client.call_async(StepSimulation.Request(steps=10_000))
-    paused.wait_for_step(paused.first_step + 20)
+    assert paused.set(publish_period_s=1e5).successful  # each step takes its time
+    paused.do(ResetSimulation)
+    answer = paused.begin(StepSimulation, steps=10_000)
+    paused.wait_for_step(paused.first_step + 5)
     code, why = paused.refused(StepSimulation, steps=1)
     assert (code, why) == (Result.RESULT_INCORRECT_STATE, "another request is stepping")
     paused.do(ResetSimulation)
@@ -226,19 +244,17 @@ def test_a_pushed_bead_moves_as_it_must(paused):
     assert event.text == "satellite_2: offset [0.0, 25.0, 0.0] m, impulse [0.0, 0.0, 300.0] N s"
 
 
-def test_random_disturbance_is_that_of_the_parameter(started):
-    _, simulator = started(start_paused=True, disturbance_m=0)
-    simulator.join()
-    undisturbed = simulator.beads[0]
-    simulator.do(Disturb, random_offset_m=12.0, seed=5)
-    disturbed = simulator.settled()
+def test_random_disturbance_is_that_of_the_parameter(paused):
+    assert paused.set(disturbance_m=0).successful
+    paused.do(ResetSimulation)
+    undisturbed = paused.settled()
+    paused.do(Disturb, random_offset_m=12.0, seed=5)
+    disturbed = paused.settled()
     offset_m = np.subtract(disturbed.position_m, undisturbed.position_m)
     assert np.linalg.norm(offset_m) == pytest.approx(12.0, rel=1e-9)
-    assert simulator.set(disturbance_m=12, disturbance_seed=5).successful
-    simulator.do(ResetSimulation)
-    np.testing.assert_allclose(
-        simulator.settled().position_m, disturbed.position_m, rtol=0, atol=1e-9
-    )
+    assert paused.set(disturbance_m=12, disturbance_seed=5).successful
+    paused.do(ResetSimulation)
+    np.testing.assert_allclose(paused.settled().position_m, disturbed.position_m, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -260,17 +276,17 @@ def test_disturbances_that_are_not_allowed(paused, fields, code, expected):
 # --- snapshots
 
 
-def test_a_restored_run_continues_bit_for_bit(paused, tmp_path):
+def test_a_restored_run_continues_bit_for_bit(paused):
     """Also after a slack spell, in the middle of a run, and in another process."""
     assert paused.set(spin_rate_ratio=-1.6).successful
     paused.do(ResetSimulation)
     paused.do(StepSimulation, steps=777)
-    paused.do(SaveSnapshot, file="a.npz")
+    paused.do(SaveSnapshot, file="exact.npz")
     saved = paused.settled()
     paused.do(StepSimulation, steps=400)
     paused.settled()
     original = [m for m in paused.beads if m.step >= saved.step]
-    paused.do(RestoreSnapshot, file="a.npz")
+    paused.do(RestoreSnapshot, file="exact.npz")
     paused.do(StepSimulation, steps=400)
     paused.settled()
     restored = paused.beads[-401:]
@@ -278,7 +294,8 @@ def test_a_restored_run_continues_bit_for_bit(paused, tmp_path):
     assert [m.header.stamp for m in restored] == [m.header.stamp for m in original]
     assert restored[0].step == original[-1].step + 1
     assert (
-        paused.events[-1].text == "snapshot a.npz" and paused.descriptions[-1].run == paused.run + 2
+        paused.events[-1].text == "snapshot exact.npz"
+        and paused.descriptions[-1].run == paused.run + 2
     )
 
     other = paused.start(
@@ -292,25 +309,25 @@ def test_a_restored_run_continues_bit_for_bit(paused, tmp_path):
     )
     simulator = ros_harness.Simulator(paused.node, paused.spin_until, "/other")
     simulator.join()
-    simulator.do(RestoreSnapshot, file=str(tmp_path / "a.npz"))
+    simulator.do(RestoreSnapshot, file=str(paused.directory / "exact.npz"))
     simulator.do(StepSimulation, steps=400)
     simulator.settled()
     assert [motion(m) for m in simulator.beads[-401:]] == [motion(m) for m in original]
     assert other.stop() == 0
 
 
-def test_snapshots_that_do_not_fit_are_refused(paused, tmp_path):
+def test_snapshots_that_do_not_fit_are_refused(paused):
     paused.do(StepSimulation, steps=3)
     paused.do(SaveSnapshot, file="a.npz")
     assert "exists already" in paused.refused(SaveSnapshot, file="a.npz")[1]
     assert "allowed: a path that ends in .npz" in paused.refused(SaveSnapshot, file="a.txt")[1]
     assert "No such file" in paused.refused(SaveSnapshot, file="no/where.npz")[1]
     assert paused.refused(RestoreSnapshot, file="b.npz")[0] == Result.RESULT_NOT_FOUND
-    whole = (tmp_path / "a.npz").read_bytes()
+    whole = (paused.directory / "a.npz").read_bytes()
     for name, content in (("cut", whole[: len(whole) // 2]), ("empty", b""), ("text", b"hello")):
-        (tmp_path / f"{name}.npz").write_bytes(content)
+        (paused.directory / f"{name}.npz").write_bytes(content)
         assert "cannot be read" in paused.refused(RestoreSnapshot, file=f"{name}.npz")[1]
-    arrays = dict(np.load(tmp_path / "a.npz"))
+    arrays = dict(np.load(paused.directory / "a.npz"))
     for name, value, expected in (
         ("motion_r", np.full_like(arrays["motion_r"], np.nan), "damaged"),
         ("motion_v", arrays["motion_v"][:1], "damaged"),
@@ -318,7 +335,7 @@ def test_snapshots_that_do_not_fit_are_refused(paused, tmp_path):
         ("place_base_ns", np.array(2**62), "allowed: 0 to 2^31"),
         ("setup_mass_kg", 2 * arrays["setup_mass_kg"], "another mass_kg"),
     ):
-        np.savez(tmp_path / f"bad_{name}.npz", **{**arrays, name: value})
+        np.savez(paused.directory / f"bad_{name}.npz", **{**arrays, name: value})
         assert expected in paused.refused(RestoreSnapshot, file=f"bad_{name}.npz")[1]
     assert paused.set(publish_period_s=7).successful
     paused.do(ResetSimulation)
@@ -368,7 +385,7 @@ def test_time_scale_changes_at_once_and_is_reached(paused):
 
 
 def test_a_recording_survives_time_going_back(started):
-    """Every step of every run is in the bag, in order, and each run is described."""
+    """Every step of every run is in the bag, and each run is described."""
     process, simulator = started(time_scale=0, wait_for_recorder=True)
     logger = simulator.start("logger_node", output="bag")
     simulator.wait_for_step(200)
@@ -390,13 +407,13 @@ def test_a_recording_survives_time_going_back(started):
         for connection, log_time_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             messages.setdefault(connection.topic, []).append((log_time_ns, message))
-    for topic in ("/bead_states", "/tether_states"):
+    for topic in ("/own/bead_states", "/own/tether_states"):
         assert sorted(m.step for _, m in messages[topic]) == list(range(last + 1))
         assert all(t == time_ns(m.header.stamp) for t, m in messages[topic])
     described = sorted(
-        (m.run, m.first_step, len(m.bead_name)) for _, m in messages["/system_description"]
+        (m.run, m.first_step, len(m.bead_name)) for _, m in messages["/own/system_description"]
     )
     assert [(run, beads) for run, _, beads in described] == [(0, 3), (1, 3), (2, 4), (3, 4)]
-    firsts = {m.step: t for t, m in messages["/bead_states"]}
+    firsts = {m.step: t for t, m in messages["/own/bead_states"]}
     assert all(firsts[first_step] == 0 for _, first_step, _ in described)
-    assert [m.kind for _, m in messages["/simulation_events"]] == ["reset"] * 3
+    assert [m.kind for _, m in messages["/own/simulation_events"]] == ["reset"] * 3

@@ -3,6 +3,7 @@
 import traceback
 
 import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from tss_interfaces.srv import (
     Disturb,
@@ -35,12 +36,14 @@ class SimulationServices:
     on_event : callable
         Told kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
-        Called after every request.
+        Called before every answer.
     """
 
     def __init__(self, node, control, make_setup, on_event, on_answer):
         self._node, self._control, self._make_setup = node, control, make_setup
         self._on_event, self._on_answer = on_event, on_answer
+        # Requests that wait for the simulation hold up neither each other nor anything else.
+        group = ReentrantCallbackGroup()
         for kind, name, callback in (
             (SetSimulationState, "set_simulation_state", self._set_state),
             (GetSimulationState, "get_simulation_state", self._get_state),
@@ -50,11 +53,12 @@ class SimulationServices:
             (SaveSnapshot, "save_snapshot", self._save),
             (RestoreSnapshot, "restore_snapshot", self._restore),
         ):
-            node.create_service(kind, f"~/{name}", callback)
+            node.create_service(kind, f"~/{name}", callback, callback_group=group)
 
     def _get_state(self, _, response):
         response.state = translate.simulation_state(self._control.state)
         response.result = translate.result(Code.OK, "")
+        self._on_answer()
         return response
 
     async def _set_state(self, request, response):
