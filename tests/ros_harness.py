@@ -53,6 +53,7 @@ class Process:
     Parameters
     ----------
     executable : str
+        Name in the package, or path.
     directory : Path
         Where it runs and where its output goes.
     arguments : sequence of str
@@ -65,7 +66,7 @@ class Process:
         self.name, self.directory = executable, Path(directory)
         self.left_behind = set()
         self._files = [
-            self.directory / f"{executable}_{time.time_ns()}.{s}" for s in ("out", "err")
+            self.directory / f"{Path(executable).name}_{time.time_ns()}.{s}" for s in ("out", "err")
         ]
         command = [Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros" / executable, *arguments]
         with self._files[0].open("w") as out, self._files[1].open("w") as err:
@@ -80,6 +81,10 @@ class Process:
     @property
     def stderr(self):
         return self._files[1].read_text()
+
+    @property
+    def pid(self):
+        return self._popen.pid
 
     @property
     def running(self):

@@ -16,8 +16,8 @@ MOST_STEPS = 10_000
 RECORDER_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
 IDLE_S = 0.1
-#: How long [s] a finished simulator waits for its recorders.
-FINISH_S = 10.0
+#: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
+DRAIN_S, FINISH_S = 2.0, 10.0
 
 
 class State(enum.IntEnum):
@@ -75,8 +75,8 @@ class Control:
         self._batch = batch
         self._requests, self._lock = deque(), threading.Lock()
         self._begun = self._stopping = self._ended = False
-        # After a change that may set time back, until its state is out.
-        self._drain = False
+        # Until then, or until its state is out, a new run waits for recorders to have the old one.
+        self._drain_until = 0.0
         self._changing = []  # requests that are answered when the next state is out
         self._steps_left, self._steps_asked, self._stepping = 0, 0, None
 
@@ -213,7 +213,7 @@ class Control:
             self._started = time.monotonic()
         if not self.simulation.ready:
             return math.inf
-        if not self._flow.ready(drain=self._drain):
+        if not self._flow.ready(drain=time.monotonic() < self._drain_until):
             return IDLE_S
         if hurry:
             return 0.0
@@ -239,7 +239,7 @@ class Control:
         self._publish(self.step, row)
         self._flow.published = self.step
         if changed:
-            self._drain = False
+            self._drain_until = 0.0
             self._pace.restart()
             answers, self._changing = self._changing, []
             for answer in answers:
@@ -264,7 +264,7 @@ class Control:
     def _begin_run(self, answer):
         self._end_stepping("the motion began anew")
         self.run += 1
-        self._drain = True
+        self._drain_until = time.monotonic() + DRAIN_S
         self._changing.append(answer)
 
     def _end_stepping(self, why):
