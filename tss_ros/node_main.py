@@ -66,6 +66,14 @@ class TssNode(Node):
         chosen = answer_each if srv_type is SetParameters else answer
         return super().create_service(srv_type, srv_name, chosen, **options)
 
+    def set_parameters_atomically(self, parameter_list):
+        """Set parameters together; unlike rclpy's own, refuse the empty name as well."""
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                reason = f"{parameter.name!r:.80} is not a parameter of {self.get_name()}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
     def _log_failure(self, service):
         self.get_logger().error(f"{service} failed: {traceback.format_exc()}")
 

@@ -3,18 +3,22 @@
 import functools
 import importlib
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from tss_ros.core import TssError
 
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+#: Most messages that a topic may be told to keep.
+MAX_DEPTH = 1_000_000
 #: What a user may change by the parameters qos_overrides.<topic>.<publisher or subscription>.*.
 OVERRIDABLE = (QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 
@@ -123,16 +127,22 @@ def create_publisher(node, topic):
         message_class = topic.message_class
     except ModuleNotFoundError as error:
         raise TssError(f"{topic.name} needs the package {error.name}, not installed here") from None
-    qos, options = topic.qos, QoSOverridingOptions(OVERRIDABLE)
+    options = QoSOverridingOptions(OVERRIDABLE, callback=_check_depth)
     try:
-        publisher = node.create_publisher(
-            message_class, topic.name, qos, qos_overriding_options=options
-        )
-    except (RuntimeError, ValueError, TypeError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a depth of 0 is an error here
+            return node.create_publisher(
+                message_class, topic.name, topic.qos, qos_overriding_options=options
+            )
+    except (RuntimeError, InvalidQosOverridesError) as error:
         raise TssError(f"qos_overrides of {topic.name}: {error}") from None
-    if not qos.depth >= 1:
-        raise TssError(f"qos_overrides of {topic.name}: depth is {qos.depth}; allowed: 1 or more")
-    return publisher
+
+
+def _check_depth(qos):
+    fits = 1 <= qos.depth <= MAX_DEPTH
+    return SetParametersResult(
+        successful=fits, reason=f"depth is {qos.depth}; allowed: 1 to {MAX_DEPTH}"
+    )
 
 
 @functools.cache
