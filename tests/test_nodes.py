@@ -147,7 +147,7 @@ def test_bag_says_what_its_types_are(run):
             assert connection.digest == typestore.hash_rihs01(connection.msgtype)
             (qos,) = connection.ext.offered_qos_profiles
             assert (qos.history.name, qos.reliability.name) == ("KEEP_LAST", "RELIABLE")
-            latched = connection.topic == "/system_description"
+            latched = connection.topic in ("/system_description", "/simulation_events")
             assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
 
 

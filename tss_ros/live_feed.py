@@ -58,14 +58,15 @@ class LiveFeed:
         except TssError as error:
             self._logger.error(f"no live view, recording goes on without: {error}")
             return
-        described, beads, tethers = False, {}, {}
+        first_step, beads, tethers = None, {}, {}
         while not self._stopping.wait(PERIOD_S):
-            described = described or self._describe(review)
-            if not described:
+            first_step = self._describe(review, first_step)
+            if first_step is None:
                 continue
             beads |= {step_number(data): data for data in self._take_waiting("bead_states")}
             tethers |= {step_number(data): data for data in self._take_waiting("tether_states")}
-            if steps := sorted(beads.keys() & tethers.keys()):
+            both = beads.keys() & tethers.keys()
+            if steps := sorted(step for step in both if step >= first_step):
                 shown = steps[:: 1 + len(steps) // STEPS]
                 review.log(**_arrays([(beads[step], tethers[step]) for step in shown]))
                 # What is left are steps of which only one half has come so far.
@@ -77,7 +78,8 @@ class LiveFeed:
         waiting = self._waiting[name]
         return [waiting.popleft() for _ in range(len(waiting))]
 
-    def _describe(self, review):
+    def _describe(self, review, first_step):
+        """Describe each run that began; return the first step of the newest."""
         for data in self._take_waiting("system_description"):
             message = deserialize_message(data, SystemDescription)
             review.static(
@@ -87,8 +89,8 @@ class LiveFeed:
                 tether_ends=np.reshape(message.tether_ends, (-1, 2)),
                 turn_s=2.0 * math.pi / abs(message.spin_rate_ratio * message.orbit_rate_rad_s),
             )
-            return True
-        return False
+            first_step = message.first_step
+        return first_step
 
 
 def _arrays(serialised):

@@ -292,7 +292,8 @@ def read_bag(path):
     Returns
     -------
     Recording
-        The steps of which both bead and tether states were recorded.
+        The steps of which both bead and tether states were recorded; the last run, where the
+        simulator was reset or a snapshot restored in between.
 
     Raises
     ------
@@ -327,9 +328,13 @@ def _recording(path, reader):
         if not messages[name]:
             raise TssError(f"{str(path)!r} holds no message of type {name}")
     described = messages["SystemDescription"][-1]
-    beads = {message.step: message for message in messages["BeadStates"]}
-    tethers = {message.step: message for message in messages["TetherStates"]}
-    if len(beads) < len(messages["BeadStates"]):
+    of_run = {
+        name: [message for message in messages[name] if message.step >= described.first_step]
+        for name in ("BeadStates", "TetherStates")
+    }
+    beads = {message.step: message for message in of_run["BeadStates"]}
+    tethers = {message.step: message for message in of_run["TetherStates"]}
+    if len(beads) < len(of_run["BeadStates"]):
         raise TssError(
             f"{str(path)!r} holds the same steps more than once; allowed: one run in a bag"
         )
