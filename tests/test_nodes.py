@@ -147,7 +147,7 @@ def test_bag_says_what_its_types_are(run):
             assert connection.digest == typestore.hash_rihs01(connection.msgtype)
             (qos,) = connection.ext.offered_qos_profiles
             assert (qos.history.name, qos.reliability.name) == ("KEEP_LAST", "RELIABLE")
-            latched = connection.topic == "/system_description"
+            latched = connection.topic in ("/system_description", "/stability_results")
             assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
 
 
@@ -161,7 +161,7 @@ def test_rerun_accepts_the_file(run):
     assert check.returncode == 0, check.stdout + check.stderr
     # The exit status does not tell: a row per topic says "ok" or "PROBLEM".
     rows = [line.split() for line in check.stdout.splitlines() if " /" in line]
-    assert len(rows) == 6 and all(row[0] == "ok" for row in rows), check.stdout
+    assert len(rows) == 7 and all(row[0] == "ok" for row in rows), check.stdout
 
 
 # --- pace, recorders that come late or die, viewers

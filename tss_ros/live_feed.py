@@ -8,8 +8,8 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, SystemDescription, TetherStates
 
+from tss_ros.cdr import stamp_ns, step_number
 from tss_ros.core import TssError
-from tss_ros.recording import stamp_ns, step_number
 
 #: The viewer gets at most this many steps, this often [s]; a display shows no more.
 STEPS, PERIOD_S = 20, 0.1

@@ -57,9 +57,9 @@ class SimNode(TssNode):
         self._publisher = {
             name: self.create_publisher(topic.message_class, name, topic.qos)
             for name, topic in topics.items()
-            if name != "recorder_status"
+            if topic.publisher == "sim_node"
         }
-        self._recorded = [topic for topic in topics.values() if topic.recorded]
+        self._recorded = [topics[name] for name in self._publisher if topics[name].recorded]
         depth = min(topic.depth for topic in self._recorded if topic.durability == "volatile")
         self._flow = FlowControl(max(1, depth // 4), self.get_logger())
         status = topics["recorder_status"]

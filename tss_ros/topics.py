@@ -25,6 +25,7 @@ class Topic:
     recorded: bool
     durability: str
     depth: int
+    publisher: str = "sim_node"
 
     def __post_init__(self):
         if self.durability not in ("volatile", "transient_local"):

@@ -1,8 +1,11 @@
 """Between the core's arrays and ROS messages; nothing else knows both."""
 
 import array
+import json
 import math
+import platform
 import sys
+from importlib.metadata import version
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,6 +21,8 @@ from tss_interfaces.msg import (
     TetherStates,
 )
 from visualization_msgs.msg import Marker, MarkerArray
+
+from tss_ros.scenario import read_text
 
 FRAME_ID = "orbit"
 #: Fields of the bead cloud, all float32.
@@ -55,7 +60,8 @@ def system_description(system, scenario, spin_rate_ratio, reference_radius_m, si
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
     simulation : dict
-        The simulator's parameters `disturbance_m`, `disturbance_seed` and `publish_period_s`.
+        The simulator's parameters; at least `disturbance_m`, `disturbance_seed` and
+        `publish_period_s`.
 
     Returns
     -------
@@ -79,6 +85,13 @@ def system_description(system, scenario, spin_rate_ratio, reference_radius_m, si
         disturbance_m=simulation["disturbance_m"],
         disturbance_seed=simulation["disturbance_seed"],
         publish_period_s=simulation["publish_period_s"],
+        parameters_json=json.dumps(simulation),
+        scenario_yaml=read_text(scenario),
+        versions=[
+            *(f"{name} {version(name)}" for name in ("tss_ros", "numpy", "scipy", "numba")),
+            f"Python {platform.python_version()}",
+            f"{platform.system()} {platform.machine()}",
+        ],
     )
 
 
