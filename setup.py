@@ -43,6 +43,8 @@ setup(
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",
         "matplotlib>=3.8.4",
+        "pillow>=10",
+        "pyarrow>=18",
         "rerun-sdk>=0.39",
     ],
     extras_require={

@@ -8,6 +8,7 @@ import numpy as np
 
 from tss_ros.bag_reader import DAMAGE, STATES, BagContent, bag_files
 from tss_ros.core import TssError
+from tss_ros.core.system import RADIUS_EARTH_M
 
 
 @dataclass(frozen=True)
@@ -101,15 +102,17 @@ class Recording:
 
     @property
     def energy_j(self):
-        """Energy in the orbit frame [J] (the Jacobi integral), shape (k,), 0 for a system at rest
-        in the frame's origin with slack tethers.
+        """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
 
-        Kinetic energy, the potential of gravity and centrifugal force to second order in distance
-        over orbit radius, m Omega^2 (z^2 - 3 y^2) / 2, and that of the taut tethers, Eq. (3). Only
-        damping changes it, but for terms of third order.
+        Kinetic energy, that of gravity and centrifugal force against the frame's origin, and that
+        of the taut tethers, Eq. (3). Nothing but damping changes it.
         """
-        x_y_z = np.moveaxis(self.position_m, 2, 0)
-        tidal = self.orbit_rate_rad_s**2 * (x_y_z[2] ** 2 - 3.0 * x_y_z[1] ** 2)
+        radius = RADIUS_EARTH_M + self.orbit_altitude_m
+        y, z = self.position_m[..., 1], self.position_m[..., 2]
+        # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.
+        u = (2.0 * y + (self.position_m**2).sum(axis=2) / radius) / radius
+        well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
+        tidal = self.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
         speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
         stretch_m = np.where(self.taut, self.length_m - self.rest_length_m, 0.0)
         stiffness = self.axial_stiffness_n / self.rest_length_m
@@ -180,6 +183,32 @@ def read_bag(path, run=None):
     return _recording(bag, number, len(beads), first_bead, beads[number - 1], tethers[number - 1])
 
 
+def described_fields(described):
+    """What a message SystemDescription says, as the fields of a Recording.
+
+    Parameters
+    ----------
+    described : message
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "scenario": described.scenario,
+        "bead_name": tuple(described.bead_name),
+        "tether_name": tuple(described.tether_name),
+        "is_satellite": np.array(described.is_satellite, dtype=bool),
+        "tether_ends": np.reshape(described.tether_ends, (-1, 2)).astype(int),
+        **{name: np.array(getattr(described, name)) for name in _DESCRIBED_ARRAYS},
+        **{name: getattr(described, name) for name in _DESCRIBED_NUMBERS},
+        # Bags made before these fields existed lack them.
+        "parameters": json.loads(getattr(described, "parameters_json", "") or "{}"),
+        "scenario_yaml": getattr(described, "scenario_yaml", ""),
+        "versions": tuple(getattr(described, "versions", ())),
+    }
+
+
 def _recording(bag, number, run_count, first_bead, beads, tethers):
     steps, of_beads, of_tethers = np.intersect1d(
         beads["step"], tethers["step"], assume_unique=True, return_indices=True
@@ -194,15 +223,8 @@ def _recording(bag, number, run_count, first_bead, beads, tethers):
         values, rows = (beads, of_beads) if source == "beads" else (tethers, of_tethers)
         return values[field][rows].reshape(len(steps), *shape)
 
-    described = bag.description(first_bead, number, run_count)
     return Recording(
-        scenario=described.scenario,
-        bead_name=tuple(described.bead_name),
-        tether_name=tuple(described.tether_name),
-        is_satellite=np.array(described.is_satellite, dtype=bool),
-        tether_ends=np.reshape(described.tether_ends, (-1, 2)).astype(int),
-        **{name: np.array(getattr(described, name)) for name in _DESCRIBED_ARRAYS},
-        **{name: getattr(described, name) for name in _DESCRIBED_NUMBERS},
+        **described_fields(bag.description(first_bead, number, run_count)),
         step=steps.astype(int),
         t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
         position_m=column("beads", "position_m", -1, 3),
@@ -215,8 +237,4 @@ def _recording(bag, number, run_count, first_bead, beads, tethers):
         runs=run_count,
         stability=tuple(message for _, message in bag.others["FloquetResult"]),
         lost=bag.lost,
-        # Bags made before these fields existed lack them.
-        parameters=json.loads(getattr(described, "parameters_json", "") or "{}"),
-        scenario_yaml=getattr(described, "scenario_yaml", ""),
-        versions=tuple(getattr(described, "versions", ())),
     )
