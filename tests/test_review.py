@@ -1,6 +1,7 @@
 """What reaches Rerun is the recording: read back from the files and the viewer it is sent to."""
 
 import contextlib
+import dataclasses
 import os
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import rerun_cli
 from rerun.chunk import RrdReader
 from ros_harness import wait_until
 
-from tss_ros import review
+from tss_ros import review, viewer
 from tss_ros.core import TssError
 from tss_ros.recording import Recording
 
@@ -79,6 +80,8 @@ def check_against(recording, path, steps):
         assert columns["step"] == list(range(steps)), entity
         seconds = np.array(columns["sim_time"]) * 1e-9
         np.testing.assert_allclose(seconds, recording.t_s[:steps], atol=1e-9)
+        turns = np.array(columns["milliturns"]) / 1000
+        np.testing.assert_allclose(turns, recording.t_s[:steps] / TURN_S, atol=5e-4)
     # Rerun keeps positions as float32: half a millimetre at 6 km.
     position_m = recording.position_m[:steps]
     np.testing.assert_allclose(
@@ -99,12 +102,14 @@ def check_against(recording, path, steps):
         ("deviation", recording.deviation, recording.bead_name),
         ("length", recording.length_m, recording.tether_name),
         ("tension", recording.tension_n, recording.tether_name),
+        ("centre_of_mass", recording.position_m.sum(axis=1) / 4, ("x", "y (up)", "z")),
     ):
-        np.testing.assert_array_equal(temporal[f"/plots/{plot}"]["Scalars:scalars"], values[:steps])
+        shown = temporal[f"/plots/{plot}"]["Scalars:scalars"]
+        np.testing.assert_allclose(shown, values[:steps], rtol=1e-12, atol=1e-9)
         assert static[f"/plots/{plot}"]["SeriesLines:names"] == [list(names)]
     (layout,) = RrdReader(path).blueprints()
     views = [v for v in blueprint(path, layout) if v.startswith("/view/") and v.count("/") == 2]
-    assert len(views) == 4
+    assert len(views) == 6
     return temporal, static
 
 
@@ -143,29 +148,21 @@ def test_tethers_are_grey_and_thin_when_slack_and_redder_the_more_they_pull(reco
 def test_live_review_draws_what_the_file_review_draws(recording, tmp_path):
     with a_viewer(tmp_path / "live.rrd") as port:
         live = review.LiveReview(f"rerun+http://127.0.0.1:{port}/proxy")
-        live.static(
-            recording.bead_name,
-            recording.is_satellite,
-            recording.tether_name,
-            recording.tether_ends,
-            TURN_S,
-        )
         for steps in (slice(0, 1), slice(1, 10), slice(10, 30)):
-            live.log(
-                recording.step[steps],
-                recording.t_s[steps],
-                recording.position_m[steps],
-                recording.deviation[steps],
-                recording.length_m[steps],
-                recording.tension_n[steps],
-                recording.taut[steps],
-            )
+            live.show(part(recording, steps))
         live.close()
     live_temporal, live_static = check_against(recording, tmp_path / "live.rrd", 30)
     review.save(recording, tmp_path / "file.rrd", "made up")
     temporal, static = read_back(tmp_path / "file.rrd")
     assert live_temporal.keys() == temporal.keys()
     assert live_static.keys() == static.keys()
+
+
+def part(recording, steps):
+    """Some steps of a recording."""
+    names = ("step", "t_s", "position_m", "velocity_m_s", "deviation")
+    names += ("length_m", "tension_n", "taut")
+    return dataclasses.replace(recording, **{n: getattr(recording, n)[steps] for n in names})
 
 
 @contextlib.contextmanager
@@ -210,16 +207,15 @@ def viewer_without_screen(tmp_path, monkeypatch):
 
 
 def test_viewer_listens_to_this_machine_only_and_sends_no_statistics(viewer_without_screen):
-    viewer, url = review._start_viewer()
+    window = viewer.on_screen()
     try:
-        port = int(url.rpartition(":")[2].partition("/")[0])
+        port = int(window.url.rpartition(":")[2].partition("/")[0])
         assert answers("127.0.0.1", port)
         # A server bound to every address answers here too.
         assert not answers("127.0.0.2", port)
         assert (viewer_without_screen / "called").read_text().split()[1] == "1"
     finally:
-        viewer.terminate()
-        viewer.wait()
+        window.close()
 
 
 def test_a_viewer_that_cannot_start_is_reported(viewer_without_screen):

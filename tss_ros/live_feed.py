@@ -80,16 +80,18 @@ class LiveFeed:
         self._beads |= beads
         self._tethers |= tethers
         steps = sorted(self._beads.keys() & self._tethers.keys())
+        first = self._shown_step < 0
         if self._described and steps:
             shown = steps[:: 1 + len(steps) // STEPS]
             states = [(self._beads[step], self._tethers[step]) for step in shown]
-            stability = self._stability if results or self._shown_step < 0 else ()
-            review.show(Recording(**self._described, **_arrays(states), stability=stability))
+            review.show(Recording(**self._described, **_arrays(states)))
             self._shown_step = steps[-1]
             # What is left are steps of which only one half has come so far.
             for waiting in (self._beads, self._tethers):
                 for step in [step for step in waiting if step <= steps[-1]]:
                     del waiting[step]
+        if self._stability and self._shown_step >= 0 and (first or results):
+            review.show_stability(self._stability)
 
     def _take(self, name):
         waiting = self._waiting[name]

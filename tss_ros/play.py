@@ -38,13 +38,17 @@ class PlayNode(TssNode):
     def __init__(self, options):
         super().__init__("play")
         self._options = options
-        self._publisher = {}
+        self._publisher, self._latched = {}, set()
         for file in bag_files(options.bag):
             for channel, schema in _channels(file).values():
-                if channel.topic not in self._publisher:
-                    self._publisher[channel.topic] = self.create_publisher(
-                        message_class(schema.name), channel.topic, _qos(channel)
-                    )
+                if channel.topic in self._publisher:
+                    continue
+                qos = _qos(channel)
+                self._publisher[channel.topic] = self.create_publisher(
+                    message_class(schema.name), channel.topic, qos
+                )
+                if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+                    self._latched.add(channel.topic)
         self._clock = self.create_publisher(Clock, "/clock", 1)
         self._clock_due = -math.inf
         self._stopping, self._playing = threading.Event(), threading.Event()
@@ -95,8 +99,8 @@ class PlayNode(TssNode):
             for _, channel, message in reader.iter_messages(log_time_order=False):
                 if self._stopping.is_set():
                     break
-                latched = _qos(channel).durability == DurabilityPolicy.TRANSIENT_LOCAL
-                if message.log_time < self._options.start * 1e9 and not latched:
+                early = message.log_time < self._options.start * 1e9
+                if early and channel.topic not in self._latched:
                     continue
                 if begun is None or message.log_time < last_ns or not self._playing.is_set():
                     self._playing.wait()

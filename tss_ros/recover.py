@@ -13,7 +13,7 @@ from pathlib import Path
 
 import yaml
 from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
 from tss_ros.bag_reader import DAMAGE, bag_files, indexed_reader
@@ -122,6 +122,10 @@ def _whole_file(path, topics):
         statistics, notes = summary.statistics, {}
         for record in reader.iter_metadata():
             notes |= record.metadata if record.name == NOTES else {}
+        stream.seek(0)
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                get_chunk_data_stream(record, validate_crc=True)
     file = BagFile(path.name)
     for channel in summary.channels.values():
         topics[channel.topic] = _topic(channel, summary.schemas[channel.schema_id])

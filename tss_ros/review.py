@@ -54,12 +54,22 @@ class LiveReview:
 
     def show(self, recording):
         """Show some steps in one go, which follow those shown before."""
-        if self._scene is None:
+        first = self._scene is None
+        if first:
             self._scene = Scene(self._stream, recording)
-        laid_out = (self._scene.has_stability, self._scene.has_steps)
         self._scene.send(recording)
-        if laid_out != (self._scene.has_stability, self._scene.has_steps):
-            self._stream.send_blueprint(layout([self._scene], [VIEW_TITLE]))
+        if first:
+            self._lay_out()
+
+    def show_stability(self, results):
+        """Show messages FloquetResult beside the motion, instead of those shown before."""
+        first = not self._scene.has_stability
+        self._scene.send_stability(results)
+        if first:
+            self._lay_out()
+
+    def _lay_out(self):
+        self._stream.send_blueprint(layout([self._scene], [VIEW_TITLE]))
 
     def close(self):
         """Send what is left, within about a second, and let go of the viewer."""

@@ -50,7 +50,7 @@ class Scene:
     def __init__(self, stream, recording, root=""):
         self.root = root
         self.turn_s = recording.turn_s
-        self.has_stability = self.has_steps = False
+        self.has_stability = False
         self._stream = stream
         self._satellites = np.flatnonzero(recording.is_satellite)
         self._others = np.flatnonzero(~recording.is_satellite)
@@ -95,9 +95,8 @@ class Scene:
             columns = rr.Scalars.columns(scalars=values.ravel())
             path = f"{self.root}plots/{plot}"
             self._stream.send_columns(path, when, columns.partition(_lengths(values)))
-        if not self.has_steps:
+        if self._last_position_m is None:
             self._send_axes(position_m[0])
-            self.has_steps = True
         self._last_position_m = position_m[-1]
 
     def _log(self, path, *what):
