@@ -25,6 +25,8 @@ FSYNC_PERIOD_S = 1.0
 RESERVE_BYTES = 16 * 2**20
 #: Name of the MCAP metadata record, and of the custom_data in metadata.yaml, with the bag's notes.
 NOTES = "tss_ros"
+#: The same as a file is begun, for `recover`.
+FIRST_NOTES = "tss_ros_begun"
 
 
 @dataclass
@@ -212,7 +214,7 @@ class BagWriter:
         self._synced = self._begun - FSYNC_PERIOD_S
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2")
-        self._writer.add_metadata(NOTES, self.notes)
+        self._writer.add_metadata(FIRST_NOTES, self.notes)
         for topic, definition in self._topics:
             self._register(topic, definition)
         sync_directory(self.directory)

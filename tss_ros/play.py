@@ -1,6 +1,7 @@
 """Plays a bag back into ROS, at the pace of simulation time; executable `play`."""
 
 import argparse
+import heapq
 import math
 import sys
 import threading
@@ -22,6 +23,8 @@ from tss_ros.topics import message_class
 
 #: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
 CLOCK_RATE_HZ = 200.0
+#: Messages that are put into order: as many as wait for a recorder at most, in all topics.
+LOOKAHEAD = 8000
 #: How long [s] to wait at the end for those who listen.
 LISTENER_FINISH_S = 2.0
 
@@ -95,12 +98,13 @@ class PlayNode(TssNode):
         count, begun, last_ns = 0, None, -1
         with file.open("rb") as stream:
             reader, _ = indexed_reader(stream)
-            # In the order of recording: a bag may hold several runs, each of which begins at 0.
-            for _, channel, message in reader.iter_messages(log_time_order=False):
+            for topic, message in _as_published(reader):
                 if self._stopping.is_set():
                     break
-                early = message.log_time < self._options.start * 1e9
-                if early and channel.topic not in self._latched:
+                if message.log_time < self._options.start * 1e9:
+                    if topic in self._latched:
+                        self._publisher[topic].publish(message.data)
+                        count += 1
                     continue
                 if begun is None or message.log_time < last_ns or not self._playing.is_set():
                     self._playing.wait()
@@ -110,13 +114,29 @@ class PlayNode(TssNode):
                 wait_s = begun[0] + simulated_s / self._options.rate - time.monotonic()
                 if wait_s > 0 and self._stopping.wait(wait_s):
                     break
-                self._publisher[channel.topic].publish(message.data)
+                self._publisher[topic].publish(message.data)
                 count += 1
                 now = time.monotonic()
                 if now >= self._clock_due:
                     self._clock.publish(translate.clock(message.log_time))
                     self._clock_due = now + 1.0 / CLOCK_RATE_HZ
         return count
+
+
+def _as_published(reader):
+    """Topic and message in the order of publication.
+
+    Simulation time does not tell it, as a bag may hold several runs, each of which begins at 0, and
+    a recorder takes many messages of one topic before it turns to the next.
+    """
+    waiting = []
+    messages = reader.iter_messages(log_time_order=False)
+    for i, (_, channel, message) in enumerate(messages):
+        heapq.heappush(waiting, (message.publish_time, i, channel.topic, message))
+        if len(waiting) > LOOKAHEAD:
+            yield heapq.heappop(waiting)[2:]
+    while waiting:
+        yield heapq.heappop(waiting)[2:]
 
 
 def _channels(file):

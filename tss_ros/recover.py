@@ -19,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 from tss_ros.bag_reader import DAMAGE, bag_files, indexed_reader
 from tss_ros.bag_writer import (
     CHUNK_BYTES,
+    FIRST_NOTES,
     NOTES,
     BagFile,
     finish,
@@ -147,7 +148,7 @@ def _rewrite(path, topics, notes):
         writer.start(profile="ros2")
         for record in _intact_records(source, size, damage):
             if isinstance(record, Metadata):
-                notes = {**notes, **(record.metadata if record.name == NOTES else {})}
+                notes = {**notes, **(record.metadata if record.name in (NOTES, FIRST_NOTES) else {})}
             elif isinstance(record, Schema):
                 number = writer.register_schema(record.name, record.encoding, record.data)
                 schemas[record.id] = (number, record)
