@@ -177,6 +177,7 @@ def _panels(turns, panels, names):
         for i, curve in enumerate(np.transpose(values)):
             axes.plot(turns, curve, **_series_style(i), linewidth=1.1, label=names[i])
         axes.margins(x=0.01)
+        axes.ticklabel_format(axis="y", useOffset=False)
         _finish(axes, "", label)
     rows[-1].set_xlabel("turns of the formation [-]")
     _legend_below(figure, rows[0], columns=min(6, len(names)))

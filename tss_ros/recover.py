@@ -148,7 +148,8 @@ def _rewrite(path, topics, notes):
         writer.start(profile="ros2")
         for record in _intact_records(source, size, damage):
             if isinstance(record, Metadata):
-                notes = {**notes, **(record.metadata if record.name in (NOTES, FIRST_NOTES) else {})}
+                if record.name in (NOTES, FIRST_NOTES):
+                    notes = {**notes, **record.metadata}
             elif isinstance(record, Schema):
                 number = writer.register_schema(record.name, record.encoding, record.data)
                 schemas[record.id] = (number, record)

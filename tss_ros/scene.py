@@ -186,16 +186,16 @@ def layout(scenes, titles):
     """
     columns = []
     for scene, title in zip(scenes, titles):
-        left = [_formation_view(scene, title)]
+        views = [_formation_view(scene, title)]
         if scene.has_stability:
             origin = f"{scene.root}stability"
-            left.append(rrb.TextDocumentView(origin=origin, name="Stability results"))
-        left = rrb.Vertical(*left, row_shares=[3, 1][: len(left)])
+            views.append(rrb.TextDocumentView(origin=origin, name="Stability results"))
         plots = rrb.Vertical(*(_plot_view(scene, plot) for plot in PLOTS))
         if len(scenes) == 1:
+            left = rrb.Vertical(*views, row_shares=[3, 1][: len(views)])
             columns.append(rrb.Horizontal(left, plots, column_shares=(3, 2)))
         else:
-            columns.append(rrb.Vertical(left, plots, row_shares=(2, 3)))
+            columns.append(rrb.Vertical(rrb.Tabs(*views), plots, row_shares=(2, 3)))
     pace = min(scene.turn_s for scene in scenes) / PLAYBACK_TURN_S
     return rrb.Blueprint(
         columns[0] if len(columns) == 1 else rrb.Horizontal(*columns),
