@@ -65,8 +65,23 @@ class Scene:
 
     def send(self, recording):
         """Send the steps of `recording`, which follow those sent before."""
-        for first in range(0, len(recording.step), BATCH_STEPS):
-            self._send(recording, slice(first, first + BATCH_STEPS))
+        turns = recording.turns
+        curves = {
+            plot: np.reshape(getattr(recording, attribute), (len(turns), -1))
+            for plot, (_, _, attribute) in PLOTS.items()
+        }
+        for first in range(0, len(turns), BATCH_STEPS):
+            steps = slice(first, first + BATCH_STEPS)
+            when = [
+                rr.TimeColumn("sim_time", duration=recording.t_s[steps]),
+                rr.TimeColumn("milliturns", sequence=np.rint(1e3 * turns[steps]).astype(int)),
+                rr.TimeColumn("step", sequence=recording.step[steps]),
+            ]
+            self._send_formation(when, recording, steps)
+            for plot, values in curves.items():
+                columns = rr.Scalars.columns(scalars=values[steps].ravel())
+                path = f"{self.root}plots/{plot}"
+                self._stream.send_columns(path, when, columns.partition(_lengths(values[steps])))
         if recording.stability:
             self.send_stability(recording.stability)
 
@@ -77,24 +92,14 @@ class Scene:
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._stream.log(f"{self.root}stability", document, static=True)
 
-    def _send(self, recording, steps):
+    def _send_formation(self, when, recording, steps):
         position_m, taut = recording.position_m[steps], recording.taut[steps]
         tension_n = recording.tension_n[steps]
-        when = [
-            rr.TimeColumn("sim_time", duration=recording.t_s[steps]),
-            rr.TimeColumn("milliturns", sequence=np.rint(1e3 * recording.turns[steps]).astype(int)),
-            rr.TimeColumn("step", sequence=recording.step[steps]),
-        ]
         self._send_points(when, "satellites", position_m[:, self._satellites])
         if self._others.size:
             self._send_points(when, "beads", position_m[:, self._others])
         self._send_trails(when, position_m)
         self._send_tethers(when, position_m, tension_n, taut)
-        for plot, (_, _, attribute) in PLOTS.items():
-            values = np.reshape(getattr(recording, attribute)[steps], (len(position_m), -1))
-            columns = rr.Scalars.columns(scalars=values.ravel())
-            path = f"{self.root}plots/{plot}"
-            self._stream.send_columns(path, when, columns.partition(_lengths(values)))
         if self._last_position_m is None:
             self._send_axes(position_m[0])
         self._last_position_m = position_m[-1]
