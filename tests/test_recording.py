@@ -7,13 +7,14 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Header
 from tss_interfaces.msg import BeadStates, SystemDescription, TetherStates
 
 from tss_ros.bag_writer import BagWriter
-from tss_ros.cdr import stamp_ns, step_number
+from tss_ros.cdr import Layout, stamp_ns, step_number
 from tss_ros.core import TssError, initial_state, ring
 from tss_ros.recording import read_bag
 from tss_ros.topics import read_topics
@@ -259,3 +260,55 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
     assert stamp_ns(bytes(serialize_message(described)), 4) == 0
     recorded = {name for name, topic in TOPICS.items() if topic.recorded}
     assert recorded == {*messages, "system_description", "stability_results"}
+
+
+def test_a_file_is_completed_after_a_time(tmp_path):
+    writer = BagWriter(tmp_path / "bag", "jazzy", split_s=1e-6)
+    topic = TOPICS["bead_states"]
+    description = (topic.type, topic.definition, topic.type_hash, topic.offered_qos)
+    channel = writer.add_topic("/bead_states", *description)
+    data = bytes(serialize_message(BeadStates()))
+    for number in range(3):
+        writer.write(channel, data, number, number, number)
+        writer.flush()
+    writer.close()
+    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 4  # the last one is empty
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [time_ns for _, time_ns, _ in reader.messages()] == [0, 1, 2]
+
+
+def test_columns_are_what_each_message_says_by_itself():
+    """Whatever lies in the padding, and with texts that push the numbers about."""
+    message = BeadStates(
+        header=Header(stamp=stamp(7), frame_id="abc"),
+        step=5,
+        name=["", "long name", "x"],
+        position_m=[1.5, -2.5, 3.5],
+        deviation=[0.25],
+    )
+    data = bytes(serialize_message(message))
+    layout = Layout(TOPICS["bead_states"].definition, data)
+    rows = np.frombuffer(data * 2, np.uint8).reshape(2, -1)
+    (first, second) = layout.numbers(rows)
+    assert first == second and first["step"] == 5 and first["stamp.nanosec"] == 7
+    assert first["position_m"].tolist() == [1.5, -2.5, 3.5]
+    assert first["velocity_m_s"].size == 0 and first["deviation"].tolist() == [0.25]
+    other = bytes(serialize_message(BeadStates(header=message.header, name=["", "LONG name", "x"])))
+    padded = np.zeros((1, len(data)), np.uint8)
+    padded[0, : min(len(other), len(data))] = np.frombuffer(other, np.uint8)[: len(data)]
+    assert layout.fits(rows).all() and not layout.fits(padded).any()
+    with pytest.raises(TssError, match="does not fit"):
+        Layout(TOPICS["bead_states"].definition, data[:40])
+    with pytest.raises(TssError, match="'markers' has type 'Marker\\[\\]'"):
+        Layout(TOPICS["markers"].definition, data)
+
+
+def test_a_bag_without_an_index_is_refused_in_words(tmp_path):
+    with (tmp_path / "x.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/a", "cdr", writer.register_schema("a", "ros2msg", b""))
+        writer.add_message(channel, 0, b"", 0)
+        writer.finish()
+    with pytest.raises(TssError, match="x.mcap.*no chunks with an index"):
+        read_bag(tmp_path / "x.mcap")

@@ -90,7 +90,7 @@ def recover(bag):
 def _in_use(bag):
     try:
         os.close(lock(bag))
-    except BlockingIOError:
+    except OSError:  # by a recorder, or it belongs to another user
         return True
     return False
 
