@@ -12,6 +12,7 @@ import time
 import pytest
 import ros_harness
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from rclpy.qos import QoSProfile
 from rosbags.highlevel import AnyReader
@@ -289,10 +290,11 @@ def test_splitting_gives_whole_files_and_one_bag(start, tmp_path):
 def test_losses_are_counted_wherever_one_looks(start, tmp_path):
     """A recorder that is stopped for a while gets the newest 1000 of 3000 messages."""
     logger = start("logger_node", output="bag")
-    reports = []
+    reports, diagnostics = [], []
     with ros_harness.client_node() as (node, spin_until):
         publisher = node.create_publisher(BeadStates, "bead_states", QoSProfile(depth=1000))
         node.create_subscription(RecorderStatus, "recorder_status", reports.append, 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", diagnostics.append, 10)
         spin_until(publisher.get_subscription_count, ros_harness.START_S, "the recorder")
         publisher.publish(BeadStates(step=0))
         spin_until(lambda: reports and reports[-1].messages, 10, "the first message")
@@ -303,6 +305,8 @@ def test_losses_are_counted_wherever_one_looks(start, tmp_path):
         spin_until(lambda: reports[-1].lost, 10, "a loss")
         publisher.publish(BeadStates(step=3001))
         spin_until(lambda: reports[-1].messages + reports[-1].lost == 3002, 10, "the last message")
+        told = f"{reports[-1].lost} messages were lost"
+        spin_until(lambda: diagnostics and diagnostics[-1].status[0].message == told, 10, told)
     assert logger.stop() == 0
     recorded = len(messages(tmp_path / "bag"))
     lost = 3002 - recorded
