@@ -232,6 +232,22 @@ LOGGER = (
         default="",
     ),
     Parameter(
+        "split_size_mb",
+        float,
+        "Size of a file of the bag at which the next one is begun [MB]; 0: any size.",
+        0.0,
+        1e9,
+        default=1000.0,
+    ),
+    Parameter(
+        "split_duration_s",
+        float,
+        "Wall time after which the next file of the bag is begun [s]; 0: never.",
+        0.0,
+        1e9,
+        default=3600.0,
+    ),
+    Parameter(
         "rerun", bool, "Show the motion in a Rerun viewer while it is recorded.", default=False
     ),
 )

@@ -45,9 +45,9 @@ class SimNode(TssNode):
         self._publisher = {
             name: create_publisher(self, topic)
             for name, topic in topics.items()
-            if name != "recorder_status" and self._options.get(optional.get(name), True)
+            if topic.publisher == "sim_node" and self._options.get(optional.get(name), True)
         }
-        self._recorded = [name for name, topic in topics.items() if topic.recorded]
+        self._recorded = [name for name in self._publisher if topics[name].recorded]
         depth = min(
             self._publisher[name].qos_profile.depth
             for name in self._recorded
@@ -112,16 +112,7 @@ class SimNode(TssNode):
         return outcome
 
     def _make_setup(self):
-        options = self._options
-        system, spin_rate_ratio = parameters.build_system(*_system_of(options))
-        return Setup.of(
-            options["scenario"],
-            system,
-            spin_rate_ratio,
-            options["publish_period_s"],
-            options["disturbance_m"],
-            options["disturbance_seed"],
-        )
+        return Setup.of(self._options, *parameters.build_system(*_system_of(self._options)))
 
     # --- in the simulation's thread
 
@@ -157,10 +148,9 @@ class SimNode(TssNode):
         self._publisher["system_description"].publish(
             translate.system_description(
                 setup.system,
-                setup.scenario,
                 setup.spin_rate_ratio,
                 setup.reference_radius_m,
-                vars(setup),
+                setup.options,
                 self._run,
                 step,
                 time_ns,
@@ -168,8 +158,8 @@ class SimNode(TssNode):
             )
         )
         self.get_logger().info(
-            f"{setup.scenario}: {setup.system.is_satellite.sum()} satellites, {setup.system.n} "
-            f"beads in all, {setup.system.m} tethers, spin {setup.spin_rate_ratio:g} Omega, "
+            f"{setup.options['scenario']}: {setup.system.is_satellite.sum()} satellites, "
+            f"{setup.system.n} beads in all, {setup.system.m} tethers, spin {setup.spin_rate_ratio:g} Omega, "
             f"one turn {setup.turn_s:.1f} s"
         )
 

@@ -37,11 +37,11 @@ class Setup:
 
     Attributes
     ----------
-    scenario : str
+    options : dict
+        The simulator's parameters that it was made from, by name; `scenario`, `publish_period_s`,
+        `disturbance_m` and `disturbance_seed` among them.
     system : System
-    spin_rate_ratio, publish_period_s, disturbance_m : float
-        [-], [s], [m].
-    disturbance_seed : int
+    spin_rate_ratio : float
     start : State
     reference_radius_m : ndarray, shape (n,)
         Distances [m] from the centre before the disturbance, the zero of Eq. (53).
@@ -49,20 +49,15 @@ class Setup:
         Tensions [N] before the disturbance.
     """
 
-    scenario: str
+    options: dict
     system: System
     spin_rate_ratio: float
-    publish_period_s: float
-    disturbance_m: float
-    disturbance_seed: int
     start: State
     reference_radius_m: np.ndarray
     tension_n: np.ndarray
 
     @classmethod
-    def of(
-        cls, scenario, system, spin_rate_ratio, publish_period_s, disturbance_m, disturbance_seed
-    ):
+    def of(cls, options, system, spin_rate_ratio):
         """Find the initial configuration, Eqs. (50)-(54), and disturb it.
 
         Raises
@@ -72,16 +67,18 @@ class Setup:
         """
         steady = initial_state(system, spin_rate_ratio)
         return cls(
-            scenario=scenario,
+            options=options,
             system=system,
             spin_rate_ratio=spin_rate_ratio,
-            publish_period_s=publish_period_s,
-            disturbance_m=disturbance_m,
-            disturbance_seed=disturbance_seed,
-            start=disturbed(steady, disturbance_m, disturbance_seed),
+            start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
             reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
             tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
         )
+
+    @property
+    def publish_period_s(self):
+        """[s] simulated time between steps."""
+        return self.options["publish_period_s"]
 
     @property
     def turn_s(self):

@@ -32,6 +32,7 @@ class Topic:
     recorded: bool
     durability: str
     depth: int
+    publisher: str = "sim_node"
 
     def __post_init__(self):
         if self.durability not in ("volatile", "transient_local"):
@@ -43,7 +44,7 @@ class Topic:
     @property
     def message_class(self):
         """The Python class of the topic's messages."""
-        return _message_class(self.type)
+        return message_class(self.type)
 
     @property
     def qos(self):
@@ -98,7 +99,7 @@ class Topic:
         """
         offset, name = 4, self.type
         while True:
-            first = next(iter(_message_class(name).get_fields_and_field_types().values()))
+            first = next(iter(message_class(name).get_fields_and_field_types().values()))
             if first == "std_msgs/Header":
                 return offset
             if not (first.startswith("sequence<") and "/" in first):
@@ -167,7 +168,8 @@ def read_topics():
         raise TssError(f"{path}: {error}; see its first lines") from error
 
 
-def _message_class(type_name):
+def message_class(type_name):
+    """The Python class of "package/msg/Type"."""
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
@@ -179,7 +181,7 @@ def _interface_file(type_name, suffix):
 
 def _used_types(type_name):
     """The message types among a type's fields."""
-    fields = _message_class(type_name).get_fields_and_field_types().values()
+    fields = message_class(type_name).get_fields_and_field_types().values()
     return [_base_type(field) for field in fields if "/" in field]
 
 

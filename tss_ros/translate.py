@@ -1,8 +1,11 @@
 """Between the core's arrays and ROS messages; nothing else knows both."""
 
 import array
+import json
 import math
+import platform
 import sys
+from importlib.metadata import version
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -24,6 +27,8 @@ from tss_interfaces.msg import (
     TetherStates,
 )
 from visualization_msgs.msg import Marker, MarkerArray
+
+from tss_ros.scenario import read_text
 
 #: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
 FRAME_ID, INERTIAL_FRAME_ID = "orbit", "inertial"
@@ -53,10 +58,9 @@ def clock(time_ns):
 
 def system_description(
     system,
-    scenario,
     spin_rate_ratio,
     reference_radius_m,
-    simulation,
+    options,
     run=0,
     first_step=0,
     time_ns=0,
@@ -67,12 +71,12 @@ def system_description(
     Parameters
     ----------
     system : System
-    scenario : str
     spin_rate_ratio : float
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
-    simulation : dict
-        The simulator's parameters `disturbance_m`, `disturbance_seed` and `publish_period_s`.
+    options : dict
+        The simulator's parameters; at least `scenario`, `disturbance_m`, `disturbance_seed` and
+        `publish_period_s`.
     run, first_step, time_ns : int
         Number of the run, its first step and the simulation time [ns] of that.
     frame_id : str
@@ -84,7 +88,7 @@ def system_description(
     """
     return SystemDescription(
         header=Header(stamp=stamp(time_ns), frame_id=frame_id),
-        scenario=scenario,
+        scenario=options["scenario"],
         bead_name=list(system.bead_name),
         is_satellite=system.is_satellite.tolist(),
         mass_kg=_doubles(system.mass_kg),
@@ -97,11 +101,18 @@ def system_description(
         orbit_rate_rad_s=system.orbit_rate_rad_s,
         spin_rate_ratio=spin_rate_ratio,
         reference_radius_m=_doubles(reference_radius_m),
-        disturbance_m=simulation["disturbance_m"],
-        disturbance_seed=simulation["disturbance_seed"],
-        publish_period_s=simulation["publish_period_s"],
+        disturbance_m=options["disturbance_m"],
+        disturbance_seed=options["disturbance_seed"],
+        publish_period_s=options["publish_period_s"],
         run=run,
         first_step=first_step,
+        parameters_json=json.dumps(options),
+        scenario_yaml=read_text(options["scenario"]),
+        versions=[
+            *(f"{name} {version(name)}" for name in ("tss_ros", "numpy", "scipy", "numba")),
+            f"Python {platform.python_version()}",
+            f"{platform.system()} {platform.machine()}",
+        ],
     )
 
 
