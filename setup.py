@@ -4,7 +4,12 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-EXECUTABLES = ("sim_node", "stability_node", "logger_node", "stability", "sweep", "review", "demo")
+EXECUTABLES = (
+    *("sim_node", "stability_node", "logger_node", "stability", "sweep", "demo"),
+    *("review", "recover", "play"),
+)
+#: All three in tss_ros.bag_commands.
+BAG_COMMANDS = ("summary", "plot", "export")
 
 setup(
     name="tss_ros",
@@ -20,9 +25,17 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/tss_ros"]),
         ("share/tss_ros", ["package.xml"]),
         ("share/tss_ros/msg_configs", glob("msg_configs/*.yaml")),
+        ("share/tss_ros/config", glob("config/*.yaml")),
+        ("share/tss_ros/launch", glob("launch/*.xml")),
+        ("share/tss_ros/layouts", glob("layouts/*")),
     ],
     zip_safe=False,
-    entry_points={"console_scripts": [f"{name} = tss_ros.{name}:main" for name in EXECUTABLES]},
+    entry_points={
+        "console_scripts": [
+            *(f"{name} = tss_ros.{name}:main" for name in EXECUTABLES),
+            *(f"{name} = tss_ros.bag_commands:{name}" for name in BAG_COMMANDS),
+        ]
+    },
     # rclpy and the message packages come with ROS 2 and are declared in package.xml.
     install_requires=[
         "numpy>=2.0",
@@ -33,6 +46,8 @@ setup(
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",
         "matplotlib>=3.8.4",
+        "pillow>=10",
+        "pyarrow>=18",
         "rerun-sdk>=0.39",
     ],
     extras_require={

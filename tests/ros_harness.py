@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import re
 import signal
 import subprocess
 import time
@@ -10,7 +11,25 @@ from pathlib import Path
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from tss_interfaces.msg import (
+    BeadStates,
+    Result,
+    SimulationEvent,
+    SimulationState,
+    SimulationStatus,
+    SystemDescription,
+)
+from tss_interfaces.srv import (
+    GetSimulationState,
+    ResetSimulation,
+    SetSimulationState,
+    StepSimulation,
+)
 
 #: How long [s] a loaded machine may take to start a node; the first one may compile the core.
 START_S = 90.0
@@ -34,6 +53,7 @@ class Process:
     Parameters
     ----------
     executable : str
+        Name in the package, or path.
     directory : Path
         Where it runs and where its output goes.
     arguments : sequence of str
@@ -46,7 +66,7 @@ class Process:
         self.name, self.directory = executable, Path(directory)
         self.left_behind = set()
         self._files = [
-            self.directory / f"{executable}_{time.time_ns()}.{s}" for s in ("out", "err")
+            self.directory / f"{Path(executable).name}_{time.time_ns()}.{s}" for s in ("out", "err")
         ]
         command = [Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros" / executable, *arguments]
         with self._files[0].open("w") as out, self._files[1].open("w") as err:
@@ -61,6 +81,10 @@ class Process:
     @property
     def stderr(self):
         return self._files[1].read_text()
+
+    @property
+    def pid(self):
+        return self._popen.pid
 
     @property
     def running(self):
@@ -172,3 +196,119 @@ def call(node, spin_until, service_type, name, request, timeout_s=60.0):
         return answer.result()
     finally:
         node.destroy_client(client)
+
+
+def set_parameters(node, spin_until, target, **values):
+    """Set parameters of a node in one go and return the answer; None takes one away."""
+    given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    request = SetParametersAtomically.Request(parameters=given)
+    name = f"{target}/set_parameters_atomically"
+    return call(node, spin_until, SetParametersAtomically, name, request).result
+
+
+class Simulator:
+    """What a user sees of a simulator and can ask of it.
+
+    Parameters
+    ----------
+    node, spin_until
+        As `client_node` gives them.
+    namespace : str
+    """
+
+    def __init__(self, node, spin_until, namespace=""):
+        self.node, self.spin_until = node, spin_until
+        self.beads, self.events, self.status, self.descriptions, self.clocks = [], [], [], [], []
+        self._name, self._clients = f"{namespace}/sim_node", {}
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        for kind, topic, kept, qos in (
+            (BeadStates, "bead_states", self.beads, 1000),
+            (SimulationEvent, "simulation_events", self.events, latched),
+            (SimulationStatus, "simulation_status", self.status, latched),
+            (SystemDescription, "system_description", self.descriptions, latched),
+            (Clock, "/clock", self.clocks, 1000),
+        ):
+            name = topic if topic.startswith("/") else f"{namespace}/{topic}"
+            node.create_subscription(kind, name, kept.append, qos)
+
+    def ask(self, kind, timeout_s=60.0, **fields):
+        """Call the simulator's service of this type and return its answer."""
+        answer = self.begin(kind, **fields)
+        self.spin_until(answer.done, timeout_s, f"an answer to {kind.__name__} {fields}")
+        return answer.result()
+
+    def begin(self, kind, **fields):
+        """Call the simulator's service of this type and return the future of its answer."""
+        if kind not in self._clients:
+            snake = re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+            self._clients[kind] = self.node.create_client(kind, f"{self._name}/{snake}")
+        self.spin_until(self._clients[kind].service_is_ready, START_S, kind.__name__)
+        return self._clients[kind].call_async(kind.Request(**fields))
+
+    def do(self, kind, **fields):
+        """Call a service and expect it to do what it is asked for."""
+        answer = self.ask(kind, **fields)
+        assert answer.result.result == Result.RESULT_OK, answer.result.error_message
+        assert answer.result.error_message == ""
+        return answer
+
+    def refused(self, kind, **fields):
+        """Call a service, expect it to refuse, and return code and reason."""
+        result = self.ask(kind, **fields).result
+        assert result.result != Result.RESULT_OK and result.error_message
+        return result.result, result.error_message
+
+    def set_state(self, state):
+        self.do(SetSimulationState, state=SimulationState(state=state))
+
+    def pause(self):
+        self.set_state(SimulationState.STATE_PAUSED)
+
+    def play(self):
+        self.set_state(SimulationState.STATE_PLAYING)
+
+    def set(self, **values):
+        """Set parameters in one go and return the answer."""
+        return set_parameters(self.node, self.spin_until, self._name, **values)
+
+    def join(self):
+        """With a paused simulator: begin a run of which every step arrives; forget all before."""
+        while not (self.beads and self.status):
+            self.do(StepSimulation, steps=1)
+        self.do(ResetSimulation)
+        newest = self.settled()
+        self.spin_until(lambda: self.events and self.events[-1].step == newest.step, 5, "an event")
+        self.spin_until(lambda: self.descriptions[-1].first_step == newest.step, 5, "the run")
+        self.run, self.first_step = self.descriptions[-1].run, newest.step
+        del self.beads[:-1], self.events[:], self.descriptions[:-1]
+
+    def wait_for_step(self, step, timeout_s=START_S):
+        """Return the BeadStates of this step, or of a later one if it was before our time."""
+        self.spin_until(
+            lambda: self.beads and self.beads[-1].step >= step, timeout_s, f"step {step}"
+        )
+        return next(message for message in self.beads if message.step >= step)
+
+    def settled(self):
+        """The newest BeadStates, once all that was published until now is here."""
+        now_ns = time.time_ns()
+        self.do(GetSimulationState)  # a status goes before every answer
+        self.spin_until(
+            lambda: (
+                time_ns(self.status[-1].stamp) >= now_ns
+                and self.beads[-1].step == self.status[-1].step
+            ),
+            10,
+            "the step that the status names",
+        )
+        return self.beads[-1]
+
+
+def time_ns(stamp):
+    """A message's stamp in nanoseconds."""
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def motion(message):
+    """Positions and velocities of BeadStates, bit for bit."""
+    return bytes(message.position_m), bytes(message.velocity_m_s)

@@ -5,7 +5,7 @@ import pytest
 import ros_harness
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
-from tss_interfaces.msg import BeadStates
+from tss_interfaces.msg import BeadStates, FloquetResult
 
 from tss_ros import live_feed, review
 from tss_ros.core import TssError, initial_state, ring, tether_state
@@ -16,16 +16,22 @@ class Viewer:
     """Stands in for the Rerun viewer and notes what it gets."""
 
     def __init__(self):
-        self.described, self.steps, self.closed = [], [], False
+        self.runs, self.stability, self.closed = [[]], (), False
 
-    def static(self, **description):
-        self.described.append(description)
+    def begin(self):
+        self.runs.append([])
 
-    def log(self, **step):
-        self.steps.append(step)
+    def show(self, recording):
+        self.runs[-1].append(recording)
+
+    def show_stability(self, results):
+        self.stability = results
 
     def close(self):
         self.closed = True
+
+    def has_shown(self, step):
+        return bool(self.runs[-1]) and self.runs[-1][-1].step[-1] > step
 
 
 class Logger:
@@ -36,48 +42,83 @@ class Logger:
         self.errors.append(text)
 
 
-def test_viewer_gets_whole_steps_in_order(monkeypatch):
+@pytest.fixture
+def fed(monkeypatch):
+    """A viewer and a function that feeds it some steps of a formation that stands still."""
     viewer = Viewer()
     monkeypatch.setattr(review, "LiveReview", lambda: viewer)
     system = ring()
     state = initial_state(system, -2.5)
-    length_m, tension_n, taut = tether_state(system, state.position_m, state.velocity_m_s)
-    make = StepMessages(system, tension_n)
-    simulation = {"disturbance_m": 0.0, "disturbance_seed": 0, "publish_period_s": 1.0}
-    described = system_description(system, "three_star", -2.5, np.ones(3), simulation)
+    tethers = tether_state(system, state.position_m, state.velocity_m_s)
+    make = StepMessages(system, tethers[1])
     feed = live_feed.LiveFeed(Logger())
-    feed.take("system_description", serialize_message(described))
+
+    def describe():
+        simulation = {"disturbance_m": 0.0, "disturbance_seed": 0, "publish_period_s": 1.0}
+        described = system_description(system, "three_star", -2.5, np.ones(3), simulation)
+        feed.take("system_description", serialize_message(described))
+
+    def publish(steps):
+        for step in steps:
+            deviation = np.full(3, float(step))
+            message = make.tether_states(step, step * 10**9, *tethers)
+            feed.take("tether_states", serialize_message(message))
+            place = (state.position_m, state.velocity_m_s)
+            message = make.bead_states(step, step * 10**9, *place, deviation)
+            feed.take("bead_states", serialize_message(message))
+            feed.take("markers", b"not wanted")
+
     feed.start()
-    for step in range(1000):
-        time_ns = step * 10**9
-        deviation = np.full(3, float(step))
-        tethers = make.tether_states(step, time_ns, length_m, tension_n, taut)
-        feed.take("tether_states", serialize_message(tethers))
-        beads = make.bead_states(step, time_ns, state.position_m, state.velocity_m_s, deviation)
-        feed.take("bead_states", serialize_message(beads))
-        feed.take("markers", b"not wanted")
-    feed.take("bead_states", serialize_message(BeadStates(header=Header(), step=5000)))
-    ros_harness.wait_until(lambda: viewer.steps and viewer.steps[-1]["step"][-1] > 900, 20, "steps")
+    yield viewer, feed, describe, publish, (system, state, tethers)
     feed.stop()
     assert viewer.closed
-    (description,) = viewer.described
-    assert description["bead_name"] == list(system.bead_name)
-    np.testing.assert_array_equal(description["tether_ends"], system.tether_ends)
-    assert description["turn_s"] == pytest.approx(2522.78, abs=0.01)  # 2 pi / (2.5 Omega)
-    shown = {name: np.concatenate([s[name] for s in viewer.steps]) for name in viewer.steps[0]}
-    numbers = shown.pop("step")
+
+
+def test_viewer_gets_whole_steps_in_order(fed):
+    viewer, feed, describe, publish, (system, state, tethers) = fed
+    describe()
+    publish(range(1000))
+    feed.take("bead_states", serialize_message(BeadStates(header=Header(), step=5000)))
+    ros_harness.wait_until(lambda: viewer.has_shown(900), 20, "steps")
+    (shown,) = viewer.runs
+    assert shown[0].bead_name == tuple(system.bead_name)
+    np.testing.assert_array_equal(shown[0].tether_ends, system.tether_ends)
+    assert shown[0].turn_s == pytest.approx(2522.78, abs=0.01)  # 2 pi / (2.5 Omega)
+    numbers = np.concatenate([part.step for part in shown])
     assert len(numbers) < 1000 and np.all(np.diff(numbers) > 0)
-    np.testing.assert_array_equal(shown.pop("t_s"), numbers)
-    np.testing.assert_array_equal(shown.pop("deviation"), np.repeat(numbers[:, None], 3, axis=1))
-    expected = {
-        "position_m": state.position_m,
-        "length_m": length_m,
-        "tension_n": tension_n,
-        "taut": taut,
-    }
-    assert shown.keys() == expected.keys()
-    for name, values in shown.items():
-        np.testing.assert_array_equal(values, np.broadcast_to(expected[name], values.shape))
+    np.testing.assert_array_equal(np.concatenate([part.t_s for part in shown]), numbers)
+    for part in shown:
+        np.testing.assert_array_equal(part.deviation, np.repeat(part.step[:, None], 3, axis=1))
+        for name, expected in zip(("length_m", "tension_n", "taut"), tethers):
+            values = getattr(part, name)
+            np.testing.assert_array_equal(values, np.broadcast_to(expected, values.shape))
+        for name in ("position_m", "velocity_m_s"):
+            values = getattr(part, name)
+            np.testing.assert_array_equal(
+                values, np.broadcast_to(getattr(state, name), values.shape)
+            )
+
+
+def test_a_simulation_that_begins_anew_is_shown_anew(fed):
+    viewer, feed, describe, publish, _ = fed
+    describe()
+    publish(range(40, 50))
+    ros_harness.wait_until(lambda: viewer.has_shown(48), 20, "the first run")
+    publish(range(5))
+    ros_harness.wait_until(lambda: len(viewer.runs) == 2 and viewer.has_shown(3), 20, "the second")
+    assert viewer.runs[1][0].step[0] == 0
+
+
+def test_stability_results_are_shown_when_they_come(fed):
+    viewer, feed, describe, publish, _ = fed
+    describe()
+    publish(range(3))
+    ros_harness.wait_until(lambda: viewer.has_shown(1), 20, "steps")
+    for rate in (-2.0, -3.0):
+        result = FloquetResult(spin_rate_ratio=rate, verdict="neutral")
+        feed.take("stability_results", serialize_message(result))
+    ros_harness.wait_until(lambda: len(viewer.stability) == 2, 20, "both results")
+    assert [result.spin_rate_ratio for result in viewer.stability] == [-2.0, -3.0]
 
 
 def test_recording_goes_on_without_a_viewer(monkeypatch):

@@ -14,6 +14,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
 
+from tss_ros import recover
+
 # Table 1 of the paper at -2.5 Omega, worked out here and not by the package.
 ORBIT_RATE = math.sqrt(3.986e14 / 7378e3**3)
 TURN_S = 2 * math.pi / (2.5 * ORBIT_RATE)
@@ -147,7 +149,11 @@ def test_bag_says_what_its_types_are(run):
             assert connection.digest == typestore.hash_rihs01(connection.msgtype)
             (qos,) = connection.ext.offered_qos_profiles
             assert (qos.history.name, qos.reliability.name) == ("KEEP_LAST", "RELIABLE")
-            latched = connection.topic == "/system_description"
+            latched = connection.topic in (
+                "/system_description",
+                "/simulation_events",
+                "/stability_results",
+            )
             assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
 
 
@@ -279,6 +285,10 @@ def test_full_disk_ends_the_recorder_with_one_line(start):
     assert logger.wait(ros_harness.START_S) == 1
     (complaint,) = (line for line in logger.stderr.splitlines() if "[INFO]" not in line)
     assert "bag_0.mcap cannot be written: File too large" in complaint
+    (account,) = recover.recover(logger.directory / "bag")
+    assert "messages recovered" in account
+    steps = [m.step for _, m in read_with_rosbags(logger.directory / "bag")["/bead_states"]]
+    assert steps == list(range(len(steps))) and len(steps) > 100
     assert simulator.stop() == 0
 
 

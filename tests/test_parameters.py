@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from tss_ros import parameters
 from tss_ros.core import TssError
 
-SIMULATOR = ((parameters.SCENARIO,), parameters.OVERRIDES, parameters.SIMULATOR)
+SIMULATOR = (parameters.SIMULATOR,)
 
 
 @pytest.fixture
@@ -40,6 +40,10 @@ def test_what_is_not_given_is_left_to_the_scenario(given):
         "disturbance_m": 0.0,
         "disturbance_seed": 0,
         "wait_for_recorder": False,
+        "start_paused": False,
+        "publish_clock": True,
+        "publish_tf": False,
+        "frame_prefix": "",
     }
 
 

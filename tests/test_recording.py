@@ -7,13 +7,16 @@ import pytest
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Header
 from tss_interfaces.msg import BeadStates, SystemDescription, TetherStates
 
+from tss_ros.bag_writer import BagWriter
+from tss_ros.cdr import Layout, stamp_ns, step_number
 from tss_ros.core import TssError, initial_state, ring
-from tss_ros.recording import BagWriter, read_bag, stamp_ns, step_number
+from tss_ros.recording import read_bag
 from tss_ros.topics import read_topics
 from tss_ros.translate import StepMessages, stamp, system_description
 
@@ -35,7 +38,7 @@ class Bag:
             if name in ("system_description", "bead_states", "tether_states")
         }
 
-    def describe(self):
+    def describe(self, spin_rate_ratio=-2.0):
         self.write(
             "system_description",
             SystemDescription(
@@ -51,7 +54,7 @@ class Bag:
                 damping_n_s_per_m=[30.0],
                 orbit_altitude_m=5e5,
                 orbit_rate_rad_s=1e-3,
-                spin_rate_ratio=-2.0,
+                spin_rate_ratio=spin_rate_ratio,
                 reference_radius_m=[3.0, 4.0],
                 disturbance_m=0.5,
                 disturbance_seed=8,
@@ -60,7 +63,7 @@ class Bag:
             0,
         )
 
-    def step(self, number, with_tether=True):
+    def step(self, number, with_beads=True, with_tether=True):
         time_ns = number * 250_000_000
         header = Header(stamp=stamp(time_ns), frame_id="orbit")
         beads = BeadStates(
@@ -79,7 +82,8 @@ class Bag:
             tension_n=NUMBERS.normal(size=1).tolist(),
             taut=[bool(number % 2)],
         )
-        self.write("bead_states", beads, time_ns)
+        if with_beads:
+            self.write("bead_states", beads, time_ns)
         if with_tether:
             self.write("tether_states", tethers, time_ns)
         self.written.append((beads, tethers))
@@ -155,7 +159,7 @@ def test_an_empty_bag_is_a_whole_bag(bag):
     bag.writer.close()
     with AnyReader([bag.writer.directory]) as reader:
         assert reader.message_count == 0
-    with pytest.raises(TssError, match="SystemDescription"):
+    with pytest.raises(TssError, match="no message of type BeadStates"):
         read_bag(bag.writer.directory)
 
 
@@ -192,12 +196,30 @@ def test_other_files_are_refused_in_words(tmp_path):
         read_bag(tmp_path / "empty")
 
 
-def test_two_runs_in_one_bag_are_refused(bag):
-    bag.describe()
-    for number in (0, 1, 2, 0, 1):
+def test_a_simulation_that_began_anew_is_read_run_by_run(bag):
+    bag.describe(spin_rate_ratio=-2.0)
+    for number in (0, 1, 2):
+        bag.step(number)
+    bag.describe(spin_rate_ratio=-3.0)
+    for number in (0, 1):
         bag.step(number)
     bag.writer.close()
-    with pytest.raises(TssError, match="more than once"):
+    last, first = read_bag(bag.writer.directory), read_bag(bag.writer.directory, run=1)
+    assert (last.run, last.runs, last.spin_rate_ratio, last.step.tolist()) == (2, 2, -3.0, [0, 1])
+    assert (first.run, first.spin_rate_ratio, first.step.tolist()) == (1, -2.0, [0, 1, 2])
+    for recording, written in ((first, bag.written[:3]), (last, bag.written[3:])):
+        sent = [beads.position_m for beads, _ in written]
+        np.testing.assert_array_equal(recording.position_m.reshape(len(written), -1), sent)
+    with pytest.raises(TssError, match="run is 3; allowed for .* 1 to 2"):
+        read_bag(bag.writer.directory, run=3)
+
+
+def test_states_that_share_no_step_are_refused(bag):
+    bag.describe()
+    for number in range(4):
+        bag.step(number, with_beads=number < 2, with_tether=number >= 2)
+    bag.writer.close()
+    with pytest.raises(TssError, match="no step of both: BeadStates 0 to 1, TetherStates 2 to 3"):
         read_bag(bag.writer.directory)
 
 
@@ -237,4 +259,56 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
     described = system_description(system, "three_star", -2.5, ones, simulation)
     assert stamp_ns(bytes(serialize_message(described)), 4) == 0
     recorded = {name for name, topic in TOPICS.items() if topic.recorded}
-    assert recorded == {*messages, "system_description"}
+    assert recorded == {*messages, "system_description", "stability_results"}
+
+
+def test_a_file_is_completed_after_a_time(tmp_path):
+    writer = BagWriter(tmp_path / "bag", "jazzy", split_s=1e-6)
+    topic = TOPICS["bead_states"]
+    description = (topic.type, topic.definition, topic.type_hash, topic.offered_qos)
+    channel = writer.add_topic("/bead_states", *description)
+    data = bytes(serialize_message(BeadStates()))
+    for number in range(3):
+        writer.write(channel, data, number, number, number)
+        writer.flush()
+    writer.close()
+    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 4  # the last one is empty
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [time_ns for _, time_ns, _ in reader.messages()] == [0, 1, 2]
+
+
+def test_columns_are_what_each_message_says_by_itself():
+    """Whatever lies in the padding, and with texts that push the numbers about."""
+    message = BeadStates(
+        header=Header(stamp=stamp(7), frame_id="abc"),
+        step=5,
+        name=["", "long name", "x"],
+        position_m=[1.5, -2.5, 3.5],
+        deviation=[0.25],
+    )
+    data = bytes(serialize_message(message))
+    layout = Layout(TOPICS["bead_states"].definition, data)
+    rows = np.frombuffer(data * 2, np.uint8).reshape(2, -1)
+    (first, second) = layout.numbers(rows)
+    assert first == second and first["step"] == 5 and first["stamp.nanosec"] == 7
+    assert first["position_m"].tolist() == [1.5, -2.5, 3.5]
+    assert first["velocity_m_s"].size == 0 and first["deviation"].tolist() == [0.25]
+    other = bytes(serialize_message(BeadStates(header=message.header, name=["", "LONG name", "x"])))
+    padded = np.zeros((1, len(data)), np.uint8)
+    padded[0, : min(len(other), len(data))] = np.frombuffer(other, np.uint8)[: len(data)]
+    assert layout.fits(rows).all() and not layout.fits(padded).any()
+    with pytest.raises(TssError, match="does not fit"):
+        Layout(TOPICS["bead_states"].definition, data[:40])
+    with pytest.raises(TssError, match="'markers' has type 'Marker\\[\\]'"):
+        Layout(TOPICS["markers"].definition, data)
+
+
+def test_a_bag_without_an_index_is_refused_in_words(tmp_path):
+    with (tmp_path / "x.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/a", "cdr", writer.register_schema("a", "ros2msg", b""))
+        writer.add_message(channel, 0, b"", 0)
+        writer.finish()
+    with pytest.raises(TssError, match="x.mcap.*no chunks with an index"):
+        read_bag(tmp_path / "x.mcap")

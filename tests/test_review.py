@@ -1,19 +1,23 @@
 """What reaches Rerun is the recording: read back from the files and the viewer it is sent to."""
 
 import contextlib
+import dataclasses
 import os
 import socket
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun_cli
+from PIL import Image
 from rerun.chunk import RrdReader
 from ros_harness import wait_until
+from tss_interfaces.msg import FloquetResult
 
-from tss_ros import review
+from tss_ros import review, viewer
 from tss_ros.core import TssError
 from tss_ros.recording import Recording
 
@@ -79,6 +83,8 @@ def check_against(recording, path, steps):
         assert columns["step"] == list(range(steps)), entity
         seconds = np.array(columns["sim_time"]) * 1e-9
         np.testing.assert_allclose(seconds, recording.t_s[:steps], atol=1e-9)
+        turns = np.array(columns["milliturns"]) / 1000
+        np.testing.assert_allclose(turns, recording.t_s[:steps] / TURN_S, atol=5e-4)
     # Rerun keeps positions as float32: half a millimetre at 6 km.
     position_m = recording.position_m[:steps]
     np.testing.assert_allclose(
@@ -99,12 +105,14 @@ def check_against(recording, path, steps):
         ("deviation", recording.deviation, recording.bead_name),
         ("length", recording.length_m, recording.tether_name),
         ("tension", recording.tension_n, recording.tether_name),
+        ("centre_of_mass", recording.position_m.sum(axis=1) / 4, ("x", "y (up)", "z")),
     ):
-        np.testing.assert_array_equal(temporal[f"/plots/{plot}"]["Scalars:scalars"], values[:steps])
+        shown = temporal[f"/plots/{plot}"]["Scalars:scalars"]
+        np.testing.assert_allclose(shown, values[:steps], rtol=1e-12, atol=1e-9)
         assert static[f"/plots/{plot}"]["SeriesLines:names"] == [list(names)]
     (layout,) = RrdReader(path).blueprints()
     views = [v for v in blueprint(path, layout) if v.startswith("/view/") and v.count("/") == 2]
-    assert len(views) == 4
+    assert len(views) == 6
     return temporal, static
 
 
@@ -143,29 +151,21 @@ def test_tethers_are_grey_and_thin_when_slack_and_redder_the_more_they_pull(reco
 def test_live_review_draws_what_the_file_review_draws(recording, tmp_path):
     with a_viewer(tmp_path / "live.rrd") as port:
         live = review.LiveReview(f"rerun+http://127.0.0.1:{port}/proxy")
-        live.static(
-            recording.bead_name,
-            recording.is_satellite,
-            recording.tether_name,
-            recording.tether_ends,
-            TURN_S,
-        )
         for steps in (slice(0, 1), slice(1, 10), slice(10, 30)):
-            live.log(
-                recording.step[steps],
-                recording.t_s[steps],
-                recording.position_m[steps],
-                recording.deviation[steps],
-                recording.length_m[steps],
-                recording.tension_n[steps],
-                recording.taut[steps],
-            )
+            live.show(part(recording, steps))
         live.close()
     live_temporal, live_static = check_against(recording, tmp_path / "live.rrd", 30)
     review.save(recording, tmp_path / "file.rrd", "made up")
     temporal, static = read_back(tmp_path / "file.rrd")
     assert live_temporal.keys() == temporal.keys()
     assert live_static.keys() == static.keys()
+
+
+def part(recording, steps):
+    """Some steps of a recording."""
+    names = ("step", "t_s", "position_m", "velocity_m_s", "deviation")
+    names += ("length_m", "tension_n", "taut")
+    return dataclasses.replace(recording, **{n: getattr(recording, n)[steps] for n in names})
 
 
 @contextlib.contextmanager
@@ -210,16 +210,15 @@ def viewer_without_screen(tmp_path, monkeypatch):
 
 
 def test_viewer_listens_to_this_machine_only_and_sends_no_statistics(viewer_without_screen):
-    viewer, url = review._start_viewer()
+    window = viewer.on_screen()
     try:
-        port = int(url.rpartition(":")[2].partition("/")[0])
+        port = int(window.url.rpartition(":")[2].partition("/")[0])
         assert answers("127.0.0.1", port)
         # A server bound to every address answers here too.
         assert not answers("127.0.0.2", port)
         assert (viewer_without_screen / "called").read_text().split()[1] == "1"
     finally:
-        viewer.terminate()
-        viewer.wait()
+        window.close()
 
 
 def test_a_viewer_that_cannot_start_is_reported(viewer_without_screen):
@@ -284,3 +283,60 @@ def test_a_file_that_cannot_be_written_is_named(recording, tmp_path):
 def test_a_full_disk_is_reported(recording):
     with pytest.raises(TssError, match="/dev/full.*No space left"):
         review.save(recording, "/dev/full", "made up")
+
+
+def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording, tmp_path):
+    result = FloquetResult(spin_rate_ratio=-2.25, max_modulus=1.5, verdict="unstable")
+    other = dataclasses.replace(part(recording, slice(0, 7)), stability=(result,))
+    review._save([recording, other], tmp_path / "x.rrd", ["long", "short"])
+    temporal, static = read_back(tmp_path / "x.rrd")
+    for root, steps in (("/run_1", STEPS), ("/run_2", 7)):
+        tethers = temporal[f"{root}/formation/tethers"]["LineStrips3D:strips"]
+        np.testing.assert_allclose(tethers, recording.position_m[:steps][:, ENDS], atol=1e-3)
+    ((text,),) = static["/run_2/stability"]["TextDocument:text"]
+    assert "| -2.25 | 1.500000 | 0.000000 | unstable |" in text
+    assert "/run_1/stability" not in static
+    (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
+    views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
+    assert len([v for v in views if v.startswith("/view/")]) == 2 * 6 + 1
+
+
+def test_pictures_are_drawn_without_a_screen(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(review, "VIDEO_FRAMES", 3)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    try:
+        review.save_picture([recording], tmp_path / "x.png", ["made up"])
+    except TssError as error:
+        assert "mesa-vulkan-drivers" in str(error)
+        pytest.skip("there is no driver to draw with")
+    with Image.open(tmp_path / "x.png") as picture:
+        assert picture.size == review.PICTURE_SIZE
+        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB")).astype(int), 2, 0)
+    # Satellites and curves in the palette's blue and orange on a dark ground.
+    assert np.median(red + green + blue) < 100
+    for r, g, b in ((0x56, 0xB4, 0xE9), (0xE6, 0x9F, 0x00)):
+        assert (abs(red - r) + abs(green - g) + abs(blue - b) < 30).sum() > 100
+    review.save_video([recording], tmp_path / "x.gif", ["made up"])
+    with Image.open(tmp_path / "x.gif") as video:
+        assert video.n_frames == 3 and video.size == review.VIDEO_SIZE
+
+
+@pytest.mark.parametrize(
+    "name, reason", [("x.mp4", "there is no ffmpeg"), ("x.avi", "x.avi.*allowed: .mp4, .gif")]
+)
+def test_a_video_that_cannot_be_made_is_refused_at_once(recording, name, reason, monkeypatch):
+    monkeypatch.setattr(review.shutil, "which", lambda _: None)
+    with pytest.raises(TssError, match=reason):
+        review.save_video([recording], name, ["made up"])
+
+
+def test_the_page_for_browsers_is_served_to_this_machine_only():
+    server, address = viewer.in_browser()
+    try:
+        port = int(address.partition("127.0.0.1:")[2].partition("/")[0])
+        wait_until(lambda: answers("127.0.0.1", port), 20, "the page")
+        with urllib.request.urlopen(address.partition("?")[0], timeout=10) as page:
+            assert b"<html" in page.read().lower()
+        assert not answers("127.0.0.2", port)
+    finally:
+        server.close()

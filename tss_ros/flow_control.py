@@ -1,13 +1,22 @@
 """Keeps a simulator from running further ahead of its recorders than their queues hold."""
 
-import math
 import threading
 import time
+from typing import NamedTuple
 
 #: A recorder that says nothing for this long [s] is gone.
 SILENCE_S = 2.0
 #: A recorder that has got nothing for this long [s] is not connected yet.
 JOIN_S = 1.0
+
+
+class Recorder(NamedTuple):
+    """One recorder: newest step it has, when it was heard and since when it stands there [s]."""
+
+    step: int
+    heard: float
+    since: float
+    lost: int
 
 
 class FlowControl:
@@ -19,73 +28,60 @@ class FlowControl:
         Most steps that the simulator may be ahead.
     logger : rclpy logger
         Told when a recorder is given up.
+    on_change : callable
+        Called, in any thread, when `ready` may have become true.
     """
 
-    def __init__(self, window, logger):
+    def __init__(self, window, logger, on_change):
         self.published = -1
         self._window = window
         self._logger = logger
+        self._on_change = on_change
         self._recorders = {}
-        self._stopped = False
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+
+    @property
+    def recorders(self):
+        """Copy of the recorders by output."""
+        with self._lock:
+            return dict(self._recorders)
 
     def on_status(self, status):
         """Take a RecorderStatus, in any thread."""
         now = time.monotonic()
-        with self._changed:
+        with self._lock:
             if not (status.recording and status.matched):
                 self._recorders.pop(status.output, None)
             elif 0 <= status.last_step <= self.published:
-                self._recorders[status.output] = (status.last_step, now, now)
+                self._recorders[status.output] = Recorder(status.last_step, now, now, status.lost)
             else:
                 # Nothing of this run has reached it: count from here, and again if that lasts,
                 # because steps published before the middleware has joined both ends never arrive.
-                begin = (self.published, now, now)
-                step, _, since = self._recorders.get(status.output, begin)
+                begin = Recorder(self.published, now, now, 0)
+                step, _, since, _ = self._recorders.get(status.output, begin)
                 if now - since > JOIN_S:
                     step, since = self.published, now
-                self._recorders[status.output] = (step, now, since)
-            self._changed.notify_all()
+                self._recorders[status.output] = Recorder(step, now, since, status.lost)
+        self._on_change()
 
     def on_recorders_gone(self):
         """Go on without recorders, as the middleware says that the last one has left."""
-        with self._changed:
+        with self._lock:
             self._recorders.clear()
-            self._changed.notify_all()
+        self._on_change()
 
-    def stop(self):
-        """Let everyone who waits go."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
-
-    def wait_for_recorder(self, is_connected):
-        """Return when a recorder records and `is_connected()` is true."""
-        with self._changed:
-            while not self._stopped and not (self._recorders and is_connected()):
-                self._changed.wait(0.05)
-
-    def wait(self):
-        """Return when the next step may be published."""
-        if self._recorders:
-            self._wait(self._window - 1, math.inf)
-
-    def wait_for_end(self, timeout_s):
-        """Wait until the recorders have all that is published; say whether they have, in time."""
-        return self._wait(0, timeout_s)
-
-    def _wait(self, ahead, timeout_s):
-        deadline = time.monotonic() + timeout_s
-        with self._changed:
-            while not self._stopped and time.monotonic() < deadline:
-                self._forget_silent()
-                if all(self.published - step <= ahead for step, _, _ in self._recorders.values()):
-                    return True
-                self._changed.wait(0.1)
-        return False
+    def ready(self, drain=False):
+        """Whether the next step may be published; with `drain`, whether all have everything."""
+        if not self._recorders:
+            return True
+        ahead = 0 if drain else self._window - 1
+        with self._lock:
+            self._forget_silent()
+            steps = [recorder.step for recorder in self._recorders.values()]
+        return all(self.published - step <= ahead for step in steps)
 
     def _forget_silent(self):
-        for output, (_, heard, _) in list(self._recorders.items()):
-            if time.monotonic() - heard > SILENCE_S:
+        for output, recorder in list(self._recorders.items()):
+            if time.monotonic() - recorder.heard > SILENCE_S:
                 del self._recorders[output]
                 self._logger.warning(f"the recorder of {output!r} is silent; going on without it")

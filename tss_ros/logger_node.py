@@ -2,16 +2,21 @@
 
 import collections
 import os
+import subprocess
+import sys
 import threading
 import time
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from tss_interfaces.msg import RecorderStatus
 
 from tss_ros import parameters
+from tss_ros.bag_writer import BagWriter
+from tss_ros.cdr import stamp_ns, step_number
 from tss_ros.live_feed import LiveFeed
 from tss_ros.node_main import TssNode, run
-from tss_ros.recording import BagWriter, stamp_ns, step_number
+from tss_ros.recover import find_cut
 from tss_ros.topics import read_topics
 
 #: A topic with more messages than this waiting lets the others have their turn.
@@ -19,6 +24,7 @@ DRAIN_LIMIT = 50
 FLUSH_PERIOD_S = 0.25
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
+DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class RecordedTopic:
@@ -36,7 +42,10 @@ class RecordedTopic:
     def __init__(self, node, topic, writer, on_message):
         self.name = topic.name
         self.stamp_offset = topic.stamp_offset
-        self.every_step = topic.durability == "volatile"
+        self.of_simulator = topic.publisher == "sim_node"
+        self.every_step = self.of_simulator and topic.durability == "volatile"
+        self.lost = 0
+        self._depth = topic.depth
         self._message_class = topic.message_class
         self._on_message = on_message
         self._next_number = None
@@ -52,8 +61,8 @@ class RecordedTopic:
             topic.offered_qos,
         )
 
-    def lost_before(self, number):
-        """How many messages the middleware dropped before the one with this sequence number.
+    def count_lost(self, number):
+        """Return, and add up, the messages that were dropped before the one with this number.
 
         Numbers that begin anew belong to a new publisher, and what was published before the first
         message that arrived was never meant for this recorder.
@@ -61,11 +70,13 @@ class RecordedTopic:
         if number is None:  # not every middleware counts
             return 0
         expected, self._next_number = self._next_number, number + 1
-        return number - expected if expected is not None and number > expected else 0
+        lost = number - expected if expected is not None and number > expected else 0
+        self.lost += lost
+        return lost
 
-    def take(self, limit):
-        """Handle up to `limit` messages that wait."""
-        for _ in range(limit):
+    def take(self, limit=None):
+        """Handle the messages that wait, up to `limit` of them."""
+        for _ in range(limit or self._depth):
             taken = self.subscription.handle.take_message(self._message_class, True)
             if taken is None:
                 return
@@ -83,12 +94,17 @@ class LoggerNode(TssNode):
         super().__init__("logger_node")
         options = parameters.read_parameters(self, parameters.LOGGER)
         output = options["output"] or time.strftime("bag_%Y%m%d_%H%M%S")
-        self._writer = BagWriter(output, os.environ.get("ROS_DISTRO", "jazzy"))
+        self._writer = BagWriter(
+            output,
+            os.environ.get("ROS_DISTRO", "jazzy"),
+            options["split_size_mb"] * 1e6,
+            options["split_duration_s"],
+        )
         topics = read_topics()
         self._live = LiveFeed(self.get_logger()) if options["rerun"] else None
         self._last_step = self._reported_step = -1
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
-        self._lost = self._newest_ns = 0
+        self._newest_ns = 0
         self._topics = [
             RecordedTopic(self, topic, self._writer, self._on_message)
             for topic in topics.values()
@@ -97,23 +113,31 @@ class LoggerNode(TssNode):
         self._status = self.create_publisher(
             RecorderStatus, "recorder_status", topics["recorder_status"].qos
         )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._note_lost()
         self.every(FLUSH_PERIOD_S, self._writer.flush)
+        self.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self._stopping = threading.Event()
         # Not a timer of the executor: a recorder that waits for its disk must be heard, too.
         self._reporter = threading.Thread(target=self._report_regularly, daemon=True)
+        self._recovery = None
         self.get_logger().info(f"recording {len(self._topics)} topics to {self._writer.path}")
 
     def start(self):
-        """Begin to report and to show."""
+        """Begin to report, to show, and to recover what earlier recorders left cut short."""
         self._reporter.start()
+        if cut := find_cut(self._writer.directory.absolute().parent):
+            threading.Thread(target=self._recover, args=(cut,), daemon=True).start()
         if self._live:
             self._live.start()
 
     def stop(self):
         """Write what has arrived and close the bag."""
         self._stopping.set()
+        if self._recovery:
+            self._recovery.terminate()  # the next start begins it anew
         for topic in self._topics:
-            topic.take(DRAIN_LIMIT)
+            topic.take()
         self._writer.close()
         self._reporter.join(timeout=0.5)
         if self._live:
@@ -123,18 +147,39 @@ class LoggerNode(TssNode):
             flush=True,
         )
 
+    @property
+    def _lost(self):
+        return sum(topic.lost for topic in self._topics)
+
+    def _note_lost(self):
+        """Keep what the bag will say about losses up to date."""
+        self._writer.notes["lost"] = str(self._lost)
+        for topic in self._topics:
+            self._writer.notes[f"lost {topic.subscription.topic_name}"] = str(topic.lost)
+
+    def _recover(self, cut):
+        """Recover bags in a process of its own, which does not slow the recording down."""
+        self.get_logger().info(f"recovering {', '.join(map(str, cut))}")
+        self._recovery = subprocess.Popen(
+            [sys.executable, "-m", "tss_ros.recover", *cut],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for line in self._recovery.communicate()[0].splitlines():
+            self.get_logger().warning(line)
+
     def _on_message(self, topic, data, info):
         if topic.stamp_offset is not None:
             self._newest_ns = topic.newest_ns = stamp_ns(data, topic.stamp_offset)
         number = info["publication_sequence_number"]
-        lost = topic.lost_before(number)
-        if lost:
-            self._lost += lost
+        if lost := topic.count_lost(number):
+            self._note_lost()
             self.get_logger().warning(
                 f"{lost} messages of {topic.name} were lost, {self._lost} in all"
             )
         sent_ns = info["source_timestamp"]
-        self._writer.write(topic.channel, data, self._newest_ns, sent_ns, number or 0)
+        self._writer.write(topic.channel, data, self._newest_ns, sent_ns, (number or 0) % 2**32)
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
@@ -158,7 +203,11 @@ class LoggerNode(TssNode):
             stamp=Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9),
             output=str(self._writer.directory.absolute()),
             recording=True,
-            matched=all(topic.subscription.get_publisher_count() for topic in self._topics),
+            matched=all(
+                topic.subscription.get_publisher_count()
+                for topic in self._topics
+                if topic.of_simulator
+            ),
             last_step=self._reported_step,
             messages=self._writer.message_count,
             lost=self._lost,
@@ -168,6 +217,23 @@ class LoggerNode(TssNode):
         except Exception:
             if self.context.ok():  # else a signal ended the context a moment ago
                 raise
+
+    def _diagnose(self):
+        ok = not self._lost
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR,
+            name=f"{self.get_fully_qualified_name()}: recording",
+            hardware_id="none",
+            message="nothing lost" if ok else f"{self._lost} messages were lost",
+            values=[
+                KeyValue(key="output", value=str(self._writer.path)),
+                KeyValue(key="messages", value=str(self._writer.message_count)),
+                *(KeyValue(key=k, value=v) for k, v in self._writer.notes.items()),
+            ],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
 
 
 def main():

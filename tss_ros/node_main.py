@@ -4,12 +4,15 @@ import os
 import signal
 import sys
 import threading
+import traceback
 
 import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
@@ -25,13 +28,54 @@ class Finished(Exception):
 
 
 class TssNode(Node):
-    """A node that can be started, that can end by itself, and that closes its own things first."""
+    """A node that can be started, that can end by itself, and that closes its own things first.
+
+    No request to a service ends it, those of the parameters included.
+    """
 
     def start(self):
         """Begin the work; the executor spins next."""
 
     def stop(self):
         """End the work within a second; called once, before the node is destroyed."""
+
+    def create_service(self, srv_type, srv_name, callback, **options):
+        """Offer a service whose mistakes are logged, and refused where its type can say so."""
+
+        async def answer(request, response):
+            try:
+                return await await_or_execute(callback, request, response)
+            except (ValueError, TypeError) as error:
+                # rclpy raises these for parameters whose type and value do not agree.
+                failed = SetParametersResult(successful=False, reason=str(error))
+                if srv_type is SetParametersAtomically:
+                    return srv_type.Response(result=failed)
+                if srv_type is SetParameters:
+                    return srv_type.Response(results=[failed])
+                self._log_failure(srv_name)
+            except Exception:
+                self._log_failure(srv_name)
+            return response
+
+        async def answer_each(request, response):
+            for parameter in request.parameters:
+                one = await answer(srv_type.Request(parameters=[parameter]), srv_type.Response())
+                response.results += one.results
+            return response
+
+        chosen = answer_each if srv_type is SetParameters else answer
+        return super().create_service(srv_type, srv_name, chosen, **options)
+
+    def set_parameters_atomically(self, parameter_list):
+        """Set parameters together; unlike rclpy's own, refuse the empty name as well."""
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                reason = f"{parameter.name!r:.80} is not a parameter of {self.get_name()}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
+    def _log_failure(self, service):
+        self.get_logger().error(f"{service} failed: {traceback.format_exc()}")
 
     def every(self, period_s, callback):
         """Call back each `period_s` of wall time, whatever time the node follows."""

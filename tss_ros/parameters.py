@@ -3,7 +3,7 @@
 import array
 import math
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import parameter_value_to_python
@@ -13,6 +13,12 @@ from tss_ros.core import TssError
 
 #: Largest system, in satellites and tether beads together, that a node builds.
 MAX_BEADS = 1000
+#: When a value that is set while the node runs applies, and how its description says so.
+APPLIES = {
+    "never": "Fixed when the node starts.",
+    "reset": "A change applies with the next reset of the state.",
+    "at once": "A change applies at once.",
+}
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Parameter:
         None leaves the value to the scenario.
     per_element : bool
         Accept a list with one value per element as well as one value for all.
+    applies : str
+        When a change applies, one of `APPLIES`.
     """
 
     name: str
@@ -41,6 +49,7 @@ class Parameter:
     maximum: float = None
     default: object = None
     per_element: bool = False
+    applies: str = "never"
 
     @property
     def allowed_value(self):
@@ -67,9 +76,9 @@ class Parameter:
         unset = "" if self.default is not None else " Not set: the scenario's value."
         descriptor = ParameterDescriptor(
             name=self.name,
-            description=f"{self.text} Fixed when the node starts.{unset}",
+            description=f"{self.text} {APPLIES[self.applies]}{unset}",
             additional_constraints=self.allowed,
-            read_only=True,
+            read_only=self.applies == "never",
             dynamic_typing=True,
         )
         if self.minimum is not None and not self.per_element:
@@ -143,6 +152,34 @@ OVERRIDES = (
 )
 
 SIMULATOR = (
+    *(replace(parameter, applies="reset") for parameter in (SCENARIO, *OVERRIDES)),
+    Parameter(
+        "publish_period_s",
+        float,
+        "Simulated time between steps [s].",
+        1e-3,
+        1e5,
+        default=1.0,
+        applies="reset",
+    ),
+    Parameter(
+        "disturbance_m",
+        float,
+        "Norm over all beads of random offsets added to the initial positions [m].",
+        0.0,
+        1e5,
+        default=0.0,
+        applies="reset",
+    ),
+    Parameter(
+        "disturbance_seed",
+        int,
+        "Seed of these offsets.",
+        0,
+        2**31 - 1,
+        default=0,
+        applies="reset",
+    ),
     Parameter(
         "time_scale",
         float,
@@ -150,9 +187,7 @@ SIMULATOR = (
         0.0,
         1e6,
         default=100.0,
-    ),
-    Parameter(
-        "publish_period_s", float, "Simulated time between steps [s].", 1e-3, 1e5, default=1.0
+        applies="at once",
     ),
     Parameter(
         "turns",
@@ -163,19 +198,29 @@ SIMULATOR = (
         default=0.0,
     ),
     Parameter(
-        "disturbance_m",
-        float,
-        "Norm over all beads of random offsets added to the initial positions [m].",
-        0.0,
-        1e5,
-        default=0.0,
-    ),
-    Parameter("disturbance_seed", int, "Seed of these offsets.", 0, 2**31 - 1, default=0),
-    Parameter(
         "wait_for_recorder",
         bool,
         "Publish nothing until a recorder is recording and receives every recorded topic.",
         default=False,
+    ),
+    Parameter("start_paused", bool, "Publish the initial state and pause there.", default=False),
+    Parameter(
+        "publish_clock",
+        bool,
+        "Publish /clock; of several simulators in one graph only one may.",
+        default=True,
+    ),
+    Parameter(
+        "publish_tf",
+        bool,
+        "Publish the frames of the orbit and of every bead on /tf; needs tf2_msgs.",
+        default=False,
+    ),
+    Parameter(
+        "frame_prefix",
+        str,
+        "Put before the name of every frame, to tell several simulators apart.",
+        default="",
     ),
 )
 
@@ -187,12 +232,28 @@ LOGGER = (
         default="",
     ),
     Parameter(
+        "split_size_mb",
+        float,
+        "Size of a file of the bag at which the next one is begun [MB]; 0: any size.",
+        0.0,
+        1e9,
+        default=1000.0,
+    ),
+    Parameter(
+        "split_duration_s",
+        float,
+        "Wall time after which the next file of the bag is begun [s]; 0: never.",
+        0.0,
+        1e9,
+        default=3600.0,
+    ),
+    Parameter(
         "rerun", bool, "Show the motion in a Rerun viewer while it is recorded.", default=False
     ),
 )
 
 #: A parameters file may serve several nodes, so each knows the names of all, and ROS's own.
-_KNOWN_NAMES = {p.name for p in (SCENARIO, *OVERRIDES, *SIMULATOR, *LOGGER)} | {
+_KNOWN_NAMES = {p.name for p in (*SIMULATOR, *LOGGER)} | {
     "use_sim_time",
     "start_type_description_service",
     "qos_overrides",
@@ -231,6 +292,40 @@ def read_parameters(node, *tables):
             values[parameter.name] = parameter.default
         node.declare_parameter(parameter.name, parameter.default, parameter.descriptor)
     return values
+
+
+def check_changes(table, values, given):
+    """Check what is to be set while a node runs.
+
+    Parameters
+    ----------
+    table : sequence of Parameter
+    values : dict
+        Checked values by name, as they are.
+    given : sequence of rclpy.parameter.Parameter
+        What is to be set; a value of None takes a parameter back to the scenario's value.
+
+    Returns
+    -------
+    dict
+        Checked values by name, as they would be.
+
+    Raises
+    ------
+    TssError
+        Naming the parameter, the value and what is allowed.
+    """
+    known = {parameter.name: parameter for parameter in table}
+    changed = dict(values)
+    for parameter in (p for p in given if p.name in known):
+        own = known[parameter.name]
+        if own.applies == "never":
+            raise TssError(f"{own.name} is fixed when the node starts")
+        if parameter.value is None and own.default is None:
+            changed.pop(own.name, None)
+        else:
+            changed[own.name] = own.check(parameter.value)
+    return changed
 
 
 def read_overrides(messages):

@@ -133,6 +133,57 @@ def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
     return figure
 
 
+def tethers(turns, length_m, tension_n, tether_name):
+    """Lengths and tensions of all tether segments against turns.
+
+    Parameters
+    ----------
+    turns : array (k,)
+    length_m, tension_n : array (k, m)
+        [m] and [N].
+    tether_name : sequence of str (m)
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    return _panels(turns, (("length [m]", length_m), ("tension [N]", tension_n)), tether_name)
+
+
+def balance(turns, energy_j, centre_of_mass_m):
+    """Energy and centre of mass in the orbit frame against turns.
+
+    Parameters
+    ----------
+    turns, energy_j : array (k,)
+        [-] and [J].
+    centre_of_mass_m : array (k, 3)
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    names = ("x, against the flight direction", "y, radial, up", "z, orbit normal")
+    figure = _panels(turns, (("centre of mass [m]", centre_of_mass_m), ("energy [J]", [])), names)
+    figure.axes[1].plot(turns, energy_j, color=INK, linewidth=1.1)
+    return figure
+
+
+def _panels(turns, panels, names):
+    """One axes for each (label, array (k, curves)), with a common abscissa and one legend."""
+    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+    rows = figure.subplots(len(panels), 1, sharex=True)
+    for axes, (label, values) in zip(rows, panels):
+        for i, curve in enumerate(np.transpose(values)):
+            axes.plot(turns, curve, **_series_style(i), linewidth=1.1, label=names[i])
+        axes.margins(x=0.01)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        _finish(axes, "", label)
+    rows[-1].set_xlabel("turns of the formation [-]")
+    _legend_below(figure, rows[0], columns=min(6, len(names)))
+    return figure
+
+
 def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, method="monodromy"):
     """Largest Floquet multiplier modulus against spin rate, the verdict told by the marker.
 

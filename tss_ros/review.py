@@ -1,219 +1,27 @@
-"""Review of a formation's motion in Rerun, from a recording or while it runs; knows no ROS.
-
-Both draw the same scene: satellites with labels and trails, tethers coloured by tension, and plots
-of deviation, tether length and tension on the timelines ``sim_time`` and ``step``.
-"""
+"""Review of recorded motions in Rerun, and the live view; knows no ROS."""
 
 import argparse
 import contextlib
-import math
-import os
-import socket
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+import webbrowser
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
-import rerun_cli
+from PIL import Image
 
+from tss_ros import viewer
 from tss_ros.core import TssError
 from tss_ros.recording import read_bag
+from tss_ros.scene import APPLICATION, Scene, layout
 
-APPLICATION = "tss_ros"
-#: Seconds of wall time that one turn takes when the viewer plays a recording.
-PLAYBACK_TURN_S = 12.0
-#: Tensions remembered to tell what is typical.
-RECENT_TENSIONS = 10_000
-VIEWER_START_S = 20.0
-
-# Light enough for the viewer's dark theme, distinct for every kind of colour vision.
-SERIES = np.array(
-    [0x56B4E9FF, 0xE69F00FF, 0x00B282FF, 0xCC79A7FF, 0xF0E442FF, 0xD55E00FF], dtype=np.uint32
-)
-LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION = (60, 130, 255), (250, 225, 90), (235, 60, 30)
-SLACK, BEADS, AXES = (125, 125, 125), (200, 200, 200), (150, 150, 150)
-TETHER_WIDTH, SLACK_WIDTH = rr.Radius.ui_points(2.5), rr.Radius.ui_points(1.0)
-TRAIL_WIDTH = rr.Radius.ui_points(1.0)
-
-
-PLOTS = {
-    "deviation": "Relative deviation from the undisturbed radius [-]",
-    "length": "Tether length [m]",
-    "tension": "Tether tension [N]",
-}
-
-
-class Scene:
-    """What both reviews draw, sent to one Rerun recording stream in batches of steps.
-
-    Parameters
-    ----------
-    stream : rerun.RecordingStream
-    bead_name, tether_name : sequence of str (n), (m)
-    is_satellite : array (n,) of bool
-    tether_ends : array (m, 2) of int
-        The two beads that each tether joins.
-    turn_s : float
-        Spin period [s]: sets the length of the trails and the pace of playback.
-    """
-
-    def __init__(self, stream, bead_name, is_satellite, tether_name, tether_ends, turn_s):
-        self._stream = stream
-        self._bead_name, self._tether_name = list(bead_name), list(tether_name)
-        self._turn_s = turn_s
-        self._satellites = np.flatnonzero(is_satellite)
-        self._others = np.flatnonzero(~np.asarray(is_satellite, dtype=bool))
-        self._trails = {
-            i: f"formation/trails/{rr.escape_entity_path_part(bead_name[i])}"
-            for i in self._satellites
-        }
-        self._ends = np.asarray(tether_ends)
-        self._last_position_m = None
-        self._recent_tension_n = np.empty(0)
-        self._send_static()
-
-    def send(self, step, t_s, position_m, deviation, length_m, tension_n, taut):
-        """Send k consecutive steps.
-
-        Parameters
-        ----------
-        step : array (k,) of int
-        t_s : array (k,)
-            Simulation time [s].
-        position_m : array (k, n, 3)
-            Orbit frame [m].
-        deviation : array (k, n)
-            Eq. (53) [-].
-        length_m, tension_n : array (k, m)
-            [m] and [N].
-        taut : array (k, m) of bool
-        """
-        position_m = np.asarray(position_m, dtype=float)
-        when = [rr.TimeColumn("sim_time", duration=t_s), rr.TimeColumn("step", sequence=step)]
-        self._send_points(when, "satellites", position_m[:, self._satellites])
-        if self._others.size:
-            self._send_points(when, "beads", position_m[:, self._others])
-        self._send_trails(when, position_m)
-        self._send_tethers(when, position_m, np.asarray(tension_n), np.asarray(taut, dtype=bool))
-        for plot, values in zip(PLOTS, (deviation, length_m, tension_n)):
-            values = np.asarray(values, dtype=float)
-            columns = rr.Scalars.columns(scalars=values.ravel())
-            self._stream.send_columns(f"plots/{plot}", when, columns.partition(_lengths(values)))
-        if self._last_position_m is None:
-            self._lay_out(position_m[0])
-        self._last_position_m = position_m[-1]
-
-    def _send_static(self):
-        def log(path, *what):
-            self._stream.log(path, *what, static=True)
-
-        log("formation", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
-        log(
-            "formation/satellites",
-            rr.Points3D.from_fields(
-                labels=[self._bead_name[i] for i in self._satellites],
-                colors=_colours(self._satellites),
-                radii=rr.Radius.ui_points(7),
-                show_labels=True,
-            ),
-        )
-        if self._others.size:
-            dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(3), colors=BEADS)
-            log("formation/beads", dots)
-        labels = rr.LineStrips3D.from_fields(labels=self._tether_name, show_labels=False)
-        log("formation/tethers", labels)
-        for i, path in self._trails.items():
-            log(path, rr.LineStrips3D.from_fields(colors=_colours([i]), radii=TRAIL_WIDTH))
-        for plot, names in zip(PLOTS, (self._bead_name, self._tether_name, self._tether_name)):
-            colours = _colours(range(len(names)))
-            log(f"plots/{plot}", rr.SeriesLines(names=names, colors=colours, widths=1.5))
-
-    def _send_points(self, when, name, position_m):
-        columns = rr.Points3D.columns(positions=position_m.reshape(-1, 3))
-        self._stream.send_columns(
-            f"formation/{name}", when, columns.partition(_lengths(position_m))
-        )
-
-    def _send_trails(self, when, position_m):
-        first = position_m[:1] if self._last_position_m is None else self._last_position_m[None]
-        previous = np.concatenate([first, position_m[:-1]])
-        for i, path in self._trails.items():
-            strips = np.stack([previous[:, i], position_m[:, i]], axis=1)
-            self._stream.send_columns(path, when, rr.LineStrips3D.columns(strips=strips))
-
-    def _send_tethers(self, when, position_m, tension_n, taut):
-        strips = position_m[:, self._ends].reshape(-1, 2, 3)
-        columns = rr.LineStrips3D.columns(
-            strips=strips,
-            colors=self._tension_colours(tension_n, taut).reshape(-1, 3),
-            radii=np.where(taut.ravel(), TETHER_WIDTH, SLACK_WIDTH),
-        )
-        self._stream.send_columns("formation/tethers", when, columns.partition(_lengths(tension_n)))
-
-    def _tension_colours(self, tension_n, taut):
-        """Colours from a tenth to ten times the tension typical of what was sent lately."""
-        known = np.concatenate([self._recent_tension_n, tension_n[taut & (tension_n > 0)]])
-        self._recent_tension_n = known[-RECENT_TENSIONS:]
-        typical = np.median(known) if known.size else 1.0
-        decade = np.log10(np.maximum(tension_n, 1e-3 * typical) / typical)
-        anchors = np.array([LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION])
-        colour = np.stack([np.interp(decade, (-1, 0, 1), anchor) for anchor in anchors.T], axis=-1)
-        return np.where(taut[..., None], colour, SLACK).astype(np.uint8)
-
-    def _lay_out(self, position_m):
-        # Trails end at the next satellite, so that those on one circle do not cover each other.
-        trail = rrb.VisibleTimeRanges(
-            timeline="sim_time",
-            start=rrb.TimeRangeBoundary.cursor_relative(
-                seconds=-self._turn_s / len(self._satellites)
-            ),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
-        reach = 1.2 * np.linalg.norm(position_m, axis=-1).max()
-        axes = rr.Arrows3D(
-            vectors=[(0, reach / 6, 0), (-reach / 6, 0, 0)],
-            labels=["up", "flight"],
-            colors=AXES,
-            radii=TRAIL_WIDTH,
-        )
-        self._stream.log("formation/axes", axes, static=True)
-        all_time = rr.TimeRange(
-            start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
-        )
-        plots = [
-            rrb.TimeSeriesView(
-                origin=f"plots/{plot}",
-                name=title,
-                axis_x=rrb.TimeAxis(view_range=all_time),
-                plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
-            )
-            for plot, title in PLOTS.items()
-        ]
-        formation = rrb.Spatial3DView(
-            origin="formation",
-            overrides=dict.fromkeys(self._trails.values(), trail),
-            line_grid=False,
-            name="Orbit frame [m], tethers blue to red with tension, thin grey when slack",
-            eye_controls=rrb.EyeControls3D(
-                position=(0, -0.6 * reach, 2.2 * reach), look_target=(0, 0, 0), eye_up=(0, 1, 0)
-            ),
-        )
-        self._stream.send_blueprint(
-            rrb.Blueprint(
-                rrb.Horizontal(formation, rrb.Vertical(*plots), column_shares=(3, 2)),
-                rrb.TimePanel(
-                    timeline="sim_time",
-                    expanded=False,
-                    playback_speed=self._turn_s / PLAYBACK_TURN_S,
-                ),
-                rrb.BlueprintPanel(expanded=False),
-                rrb.SelectionPanel(expanded=False),
-            )
-        )
+VIEW_TITLE = "Orbit frame [m], tethers blue to red with tension, thin grey when slack"
+PICTURE_SIZE, VIDEO_SIZE = (1600, 900), (1280, 720)
+VIDEO_FRAMES, VIDEO_FRAMES_PER_S = 100, 10
 
 
 class LiveReview:
@@ -223,7 +31,7 @@ class LiveReview:
     ----------
     url : str, optional
         Viewer to connect to, as in ``rerun+http://127.0.0.1:9876/proxy``; by default one is
-        started, which listens on 127.0.0.1 only and stays open after `close`.
+        started, which stays open after `close`.
 
     Raises
     ------
@@ -232,19 +40,36 @@ class LiveReview:
     """
 
     def __init__(self, url=None):
-        if url is None:
-            _, url = _start_viewer()
+        self._url = url or viewer.on_screen().url
+        self._stream = self._scene = None
+        self.begin()
+
+    def begin(self):
+        """Show what comes next as a run of its own."""
+        if self._stream:
+            self.close()
         self._stream = rr.RecordingStream(APPLICATION)
-        _connect(self._stream, url)
+        viewer.connect(self._stream, self._url)
         self._scene = None
 
-    def static(self, bead_name, is_satellite, tether_name, tether_ends, turn_s):
-        """Describe the formation before the first `log`; parameters as for `Scene`."""
-        self._scene = Scene(self._stream, bead_name, is_satellite, tether_name, tether_ends, turn_s)
+    def show(self, recording):
+        """Show some steps in one go, which follow those shown before."""
+        first = self._scene is None
+        if first:
+            self._scene = Scene(self._stream, recording)
+        self._scene.send(recording)
+        if first:
+            self._lay_out()
 
-    def log(self, step, t_s, position_m, deviation, length_m, tension_n, taut):
-        """Show some steps in one go; parameters as for `Scene.send`."""
-        self._scene.send(step, t_s, position_m, deviation, length_m, tension_n, taut)
+    def show_stability(self, results):
+        """Show messages FloquetResult beside the motion, instead of those shown before."""
+        first = not self._scene.has_stability
+        self._scene.send_stability(results)
+        if first:
+            self._lay_out()
+
+    def _lay_out(self):
+        self._stream.send_blueprint(layout([self._scene], [VIEW_TITLE]))
 
     def close(self):
         """Send what is left, within about a second, and let go of the viewer."""
@@ -253,145 +78,195 @@ class LiveReview:
         self._stream.disconnect()
 
 
-def show(recording, stream, name):
-    """Send a whole recording to a Rerun recording stream.
+def show(recordings, stream, names):
+    """Send whole recordings to a Rerun recording stream, side by side if there are several.
+
+    Parameters
+    ----------
+    recordings : list of tss_ros.recording.Recording
+    stream : rerun.RecordingStream
+    names : list of str
+        Shown in the viewer.
+    """
+    stream.send_recording_name(" | ".join(names))
+    alone = len(recordings) == 1
+    roots = [""] if alone else [f"run_{i + 1}/" for i in range(len(recordings))]
+    scenes = [Scene(stream, recording, root) for recording, root in zip(recordings, roots)]
+    for scene, recording in zip(scenes, recordings):
+        scene.send(recording)
+    stream.send_blueprint(layout(scenes, [VIEW_TITLE] if alone else names))
+
+
+def save(recording, path, name):
+    """Write a whole recording as a Rerun file, replacing one that exists.
 
     Parameters
     ----------
     recording : tss_ros.recording.Recording
-    stream : rerun.RecordingStream
+    path : str or Path
     name : str
         Shown in the viewer.
-    """
-    stream.send_recording_name(name)
-    turn_s = 2.0 * math.pi / abs(recording.spin_rate_ratio * recording.orbit_rate_rad_s)
-    scene = Scene(
-        stream,
-        recording.bead_name,
-        recording.is_satellite,
-        recording.tether_name,
-        recording.tether_ends,
-        turn_s,
-    )
-    scene.send(
-        recording.step,
-        recording.t_s,
-        recording.position_m,
-        recording.deviation,
-        recording.length_m,
-        recording.tension_n,
-        recording.taut,
-    )
-
-
-def save(recording, path, name):
-    """Write a whole recording as a Rerun file, replacing one that exists; parameters as for `show`.
 
     Raises
     ------
     TssError
         If the file cannot be written.
     """
+    _save([recording], path, [name])
+
+
+def _save(recordings, path, names):
     stream = rr.RecordingStream(APPLICATION)
     # Through memory: Rerun's own file sink waits for ever once the disk is full.
     memory = stream.memory_recording()
-    show(recording, stream, name)
+    show(recordings, stream, names)
     try:
         Path(path).write_bytes(memory.drain_as_bytes())
     except OSError as error:
         raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
 
 
+def save_picture(recordings, path, names):
+    """Draw the last step, as the viewer shows it, into a PNG file; needs no screen.
+
+    Raises
+    ------
+    TssError
+        If the viewer cannot draw here, or the file cannot be written.
+    """
+    with _unseen(recordings, names, PICTURE_SIZE) as draw:
+        picture = draw(max(r.t_s[-1] for r in recordings))
+    _write(path, picture.save, format="PNG")
+
+
+def save_video(recordings, path, names):
+    """Draw the whole motion into a .mp4 file (by ffmpeg) or a .gif file; needs no screen.
+
+    Raises
+    ------
+    TssError
+        If the viewer cannot draw here, if ffmpeg is not there or fails, or if the file cannot be
+        written.
+    """
+    path, ffmpeg = Path(path), shutil.which("ffmpeg")
+    if path.suffix not in (".mp4", ".gif"):
+        raise TssError(f"video {str(path)!r} has no known ending; allowed: .mp4, .gif")
+    if path.suffix == ".mp4" and not ffmpeg:
+        raise TssError(
+            "there is no ffmpeg to write .mp4 (sudo apt install ffmpeg); .gif needs none"
+        )
+    start, end = min(r.t_s[0] for r in recordings), max(r.t_s[-1] for r in recordings)
+    with _unseen(recordings, names, VIDEO_SIZE) as draw:
+        frames = []
+        for i, t_s in enumerate(np.linspace(start, end, VIDEO_FRAMES)):
+            frames.append(draw(t_s))
+            _progress(f"frame {i + 1} of {VIDEO_FRAMES}")
+    if path.suffix == ".gif":
+        period_ms = 1000 // VIDEO_FRAMES_PER_S
+        more = {"save_all": True, "append_images": frames[1:], "duration": period_ms, "loop": 0}
+        _write(path, frames[0].save, format="GIF", **more)
+        return
+    size, rate = "x".join(map(str, frames[0].size)), str(VIDEO_FRAMES_PER_S)
+    command = [ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24"]
+    command += ["-video_size", size, "-framerate", rate, "-i", "-", "-pix_fmt", "yuv420p", path]
+    pixels = b"".join(frame.tobytes() for frame in frames)
+    done = subprocess.run(command, input=pixels, stderr=subprocess.PIPE)
+    if done.returncode:
+        reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise TssError(f"ffmpeg cannot write {str(path)!r}: {' '.join(reason)}")
+
+
+@contextlib.contextmanager
+def _unseen(recordings, names, size):
+    """A function that draws the viewer at a simulation time [s], as a PIL image."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, picture = Path(folder) / "review.rrd", Path(folder) / "picture.png"
+        _save(recordings, file, names)
+        with viewer.unseen(file, *size) as client:
+
+            def draw(t_s):
+                client.set_time("sim_time", duration=float(t_s), play_state="paused")
+                client.save_screenshot(str(picture))
+                with Image.open(picture) as image:
+                    return image.convert("RGB")
+
+            deadline, first = time.monotonic() + viewer.PATIENCE_S, recordings[0].t_s[0]
+            # The axes of plots find their range in the course of some frames.
+            while draw(first) != draw(first) and time.monotonic() < deadline:
+                pass
+            yield draw
+
+
+def _write(path, write, **options):
+    try:
+        with Path(path).open("wb") as stream:
+            write(stream, **options)
+    except OSError as error:
+        raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
+
+
+def _progress(text):
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def _show_in_viewer(recordings, names):
+    window = viewer.on_screen()
+    _send(recordings, names, window.url)
+    window.wait()
+
+
+def _show_in_browser(recordings, names):
+    server, address = viewer.in_browser()
+    _send(recordings, names, server.url)
+    print(f"{address}\nCtrl-C ends it", flush=True)
+    webbrowser.open(address)
+    server.wait()
+
+
+def _send(recordings, names, url):
+    stream = rr.RecordingStream(APPLICATION)
+    viewer.connect(stream, url)
+    show(recordings, stream, names)
+    stream.flush()
+
+
 def main(argv=None):
     """Executable ``review``: exit status 0, 1 with one line why, or 130 when interrupted."""
     parser = argparse.ArgumentParser(
-        prog="review", description="Open a recording of a tethered formation in the Rerun viewer."
+        prog="review", description="Open recordings of tethered formations in the Rerun viewer."
     )
-    parser.add_argument("recording", type=Path, help="bag directory or .mcap file")
     parser.add_argument(
-        "--save", type=Path, metavar="FILE.rrd", help="write a Rerun file instead; needs no screen"
+        "bag", type=Path, nargs="+", help="bag directory or .mcap file; several are compared"
+    )
+    parser.add_argument("--run", type=int, help="which run of a bag with several; default the last")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun file instead")
+    instead.add_argument("--web", action="store_true", help="show it in a browser on this machine")
+    instead.add_argument("--png", type=Path, metavar="FILE", help="draw the last step instead")
+    instead.add_argument(
+        "--video", type=Path, metavar="FILE", help="draw the whole motion into a .mp4 or .gif"
     )
     arguments = parser.parse_args(argv)
     try:
-        recording, name = read_bag(arguments.recording), arguments.recording.resolve().name
-        if arguments.save is None:
-            _show_in_viewer(recording, name)
-        else:
-            save(recording, arguments.save, name)
-            print(arguments.save)
+        recordings = [read_bag(bag, arguments.run) for bag in arguments.bag]
+        names = [bag.resolve().name for bag in arguments.bag]
+        for bag, recording in zip(arguments.bag, recordings):
+            if recording.runs > 1:
+                print(f"{bag}: run {recording.run} of {recording.runs}", flush=True)
+        for path, write in (
+            (arguments.save, _save),
+            (arguments.png, save_picture),
+            (arguments.video, save_video),
+        ):
+            if path is not None:
+                write(recordings, path, names)
+                print(path)
+                return 0
+        (_show_in_browser if arguments.web else _show_in_viewer)(recordings, names)
     except TssError as error:
         print(f"review: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-def _show_in_viewer(recording, name):
-    viewer, url = _start_viewer()
-    stream = rr.RecordingStream(APPLICATION)
-    _connect(stream, url)
-    show(recording, stream, name)
-    stream.flush()
-    try:
-        if viewer.wait():
-            raise TssError(f"the Rerun viewer ended with status {viewer.returncode}")
-    finally:
-        viewer.terminate()
-
-
-def _start_viewer():
-    """Start a viewer that only this machine reaches; return its process and its address."""
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise TssError(
-            "there is no screen for the Rerun viewer (DISPLAY and WAYLAND_DISPLAY are not set); "
-            "`review RECORDING --save FILE.rrd` needs none"
-        )
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    # The viewer itself, not the Python script around it, which would not pass signals on.
-    program = Path(rerun_cli.__file__).with_name("rerun")
-    command = [program, "--bind", "127.0.0.1", "--port", str(port)]
-    # Rerun sends no usage statistics where CI is set; in its own session it outlives our Ctrl-C.
-    environment = {**os.environ, "CI": "1", "RUST_LOG": "error"}
-    viewer = subprocess.Popen(
-        command, env=environment, stdin=subprocess.DEVNULL, start_new_session=True
-    )
-    deadline = time.monotonic() + VIEWER_START_S
-    while not _listens(port):
-        if viewer.poll() is not None:
-            raise TssError(
-                f"the Rerun viewer ended with status {viewer.returncode} before it could be used"
-            )
-        if time.monotonic() > deadline:
-            viewer.terminate()
-            raise TssError(f"the Rerun viewer did not answer within {VIEWER_START_S:g} s")
-        time.sleep(0.05)
-    return viewer, f"rerun+http://127.0.0.1:{port}/proxy"
-
-
-def _listens(port):
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
-def _connect(stream, url):
-    """Connect, after making sure that somebody listens: Rerun itself would wait in silence."""
-    try:
-        address = urlsplit(url)
-        socket.create_connection((address.hostname, address.port), timeout=VIEWER_START_S).close()
-        stream.connect_grpc(url)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise TssError(
-            f"no Rerun viewer answers at {url!r} ({error}); "
-            "its address looks like rerun+http://127.0.0.1:9876/proxy"
-        ) from error
-
-
-def _lengths(values):
-    """How many instances each of k steps has, as `send_columns` wants it."""
-    return np.full(values.shape[0], values.shape[1])
-
-
-def _colours(indices):
-    return SERIES[np.asarray(indices) % len(SERIES)]

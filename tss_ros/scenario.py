@@ -103,6 +103,22 @@ def shipped():
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
 
 
+def read_text(name_or_path):
+    """The text of a scenario file; parameters and errors as for `load`."""
+    text = str(name_or_path)
+    path = _FOLDER / f"{text}.yaml" if text in shipped() else Path(text)
+    if path.suffix not in (".yaml", ".yml"):
+        raise TssError(
+            f"scenario must be one of {', '.join(shipped())} or the path of a .yaml file,"
+            f" got {text!r}"
+        )
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text"
+        raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
+
+
 def load(name_or_path):
     """Read and validate a scenario.
 
@@ -121,17 +137,8 @@ def load(name_or_path):
         If there is no such scenario or something in it is wrong; the text says what and where.
     """
     text = str(name_or_path)
-    path = _FOLDER / f"{text}.yaml" if text in shipped() else Path(text)
-    if path.suffix not in (".yaml", ".yml"):
-        raise TssError(
-            f"scenario must be one of {', '.join(shipped())} or the path of a .yaml file,"
-            f" got {text!r}"
-        )
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
+        content = yaml.safe_load(read_text(text))
     except yaml.YAMLError as error:
         raise TssError(f"scenario file {text!r} is not valid YAML: {_one_line(error)}") from None
     try:

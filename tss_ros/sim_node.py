@@ -1,32 +1,35 @@
-"""The simulator node: integrates a formation's motion and publishes it step by step."""
+"""The simulator node: publishes a formation's motion step by step, and lets others control it."""
 
 import math
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 
 from tss_ros import parameters, translate
-from tss_ros.core import Propagator, deviation, disturbed, initial_state, tether_state
+from tss_ros.core import TssError
 from tss_ros.flow_control import FlowControl
 from tss_ros.node_main import TssNode, run
-from tss_ros.topics import read_topics
+from tss_ros.pacing import Pace
+from tss_ros.sim_control import Control
+from tss_ros.sim_services import SimulationServices
+from tss_ros.simulation import Setup, Simulation
+from tss_ros.topics import create_publisher, read_topics
 
-#: Steps integrated at a time, times beads, and the most steps: fixed, so that runs repeat exactly.
-CHUNK_BEAD_STEPS, CHUNK_STEPS = 8192, 256
-#: Simulation times are int32 seconds in every message.
-MAX_TIME_S = 2**31 - 1
-#: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
-CLOCK_RATE_HZ = 200.0
-#: A simulator this far [s] behind the wall clock stops trying to catch up.
-MAX_LAG_S = 0.5
-#: How often [s] to look whether the last recorder has left.
-RECORDER_CHECK_S = 0.25
-#: How long [s] a finished simulator waits for its recorders, and for others on each topic.
-RECORDER_FINISH_S, LISTENER_FINISH_S = 10.0, 0.5
+#: /clock is published at most this often [1/s of wall time], as faster starves those who follow it,
+#: and at least this often [s], as those who come while time stands still must learn it, too.
+CLOCK_RATE_HZ, CLOCK_PERIOD_S = 200.0, 0.1
+#: /tf is published at most this often [1/s of wall time].
+TF_RATE_HZ = 50.0
+#: How often [s] to look whether the last recorder has left, and to report.
+RECORDER_CHECK_S, STATUS_PERIOD_S, DIAGNOSTICS_PERIOD_S = 0.25, 0.5, 1.0
+#: How long [s] a finished simulator waits for those who listen on each topic.
+LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
+#: Topics that are made only for those who listen.
+FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
 
 
 class SimNode(TssNode):
@@ -34,51 +37,52 @@ class SimNode(TssNode):
 
     def __init__(self):
         super().__init__("sim_node")
-        tables = ((parameters.SCENARIO,), parameters.OVERRIDES, parameters.SIMULATOR)
-        self._options = parameters.read_parameters(self, *tables)
-        overrides = {
-            p.name: self._options[p.name] for p in parameters.OVERRIDES if p.name in self._options
-        }
-        scenario = self._options["scenario"]
-        self._system, spin_rate_ratio = parameters.build_system(scenario, overrides)
-        undisturbed = initial_state(self._system, spin_rate_ratio)
-        self._reference_radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
-        _, tension_n, _ = tether_state(
-            self._system, undisturbed.position_m, undisturbed.velocity_m_s
-        )
-        start = disturbed(
-            undisturbed, self._options["disturbance_m"], self._options["disturbance_seed"]
-        )
-        self._propagator = Propagator(self._system, spin_rate_ratio, start)
-        self._turn_s = 2.0 * math.pi / abs(spin_rate_ratio * self._system.orbit_rate_rad_s)
-        self._messages = translate.StepMessages(self._system, tension_n)
-
+        self._options = parameters.read_parameters(self, parameters.SIMULATOR)
+        setup = self._make_setup()
+        self._frame_id = self._options["frame_prefix"] + translate.FRAME_ID
         topics = read_topics()
+        optional = {"/clock": "publish_clock", "/tf": "publish_tf"}
         self._publisher = {
-            name: self.create_publisher(topic.message_class, name, topic.qos)
+            name: create_publisher(self, topic)
             for name, topic in topics.items()
-            if name != "recorder_status"
+            if topic.publisher == "sim_node" and self._options.get(optional.get(name), True)
         }
-        self._recorded = [topic for topic in topics.values() if topic.recorded]
-        depth = min(topic.depth for topic in self._recorded if topic.durability == "volatile")
-        self._flow = FlowControl(max(1, depth // 4), self.get_logger())
+        self._recorded = [name for name in self._publisher if topics[name].recorded]
+        depth = min(
+            self._publisher[name].qos_profile.depth
+            for name in self._recorded
+            if topics[name].durability == "volatile"
+        )
+        wake = threading.Event()
+        self._flow = FlowControl(max(1, depth // 4), self.get_logger(), wake.set)
+        self._pace = Pace(self._options["time_scale"])
+        self._control = Control(
+            Simulation(setup, self._options["turns"], wake.set),
+            self._pace,
+            self._flow,
+            wake,
+            begin=self._may_begin,
+            publish=self._publish,
+            on_idle=self._keep_clock,
+            logger=self.get_logger(),
+            play=not self._options["start_paused"],
+            batch=self._options["turns"] > 0.0,
+        )
         status = topics["recorder_status"]
-        self._status = self.create_subscription(
+        self._recorder_status = self.create_subscription(
             status.message_class, status.name, self._flow.on_status, status.qos
         )
+        SimulationServices(
+            self, self._control, self._make_setup, self._on_event, self._report_status
+        )
         self.every(RECORDER_CHECK_S, self._check_recorders)
-        self._stopping = threading.Event()
-        self._clock_due = -math.inf
-        self._publisher["system_description"].publish(
-            translate.system_description(
-                self._system, scenario, spin_rate_ratio, self._reference_radius_m, self._options
-            )
-        )
-        self.get_logger().info(
-            f"{scenario}: {self._system.is_satellite.sum()} satellites, {self._system.n} beads in "
-            f"all, {self._system.m} tethers, spin {spin_rate_ratio:g} Omega, "
-            f"one turn {self._turn_s:.1f} s"
-        )
+        self.every(STATUS_PERIOD_S, self._report_regularly)
+        self.every(DIAGNOSTICS_PERIOD_S, self._report_diagnostics)
+        self._measured = (0.0, math.nan)
+        self._clock_ns, self._clock_due, self._tf_due = None, -math.inf, -math.inf
+        self._progress = time.monotonic()
+        self._events = []
+        self._describe(0, 0)
 
     def start(self):
         """Begin to simulate in a thread of its own."""
@@ -87,125 +91,187 @@ class SimNode(TssNode):
 
     def stop(self):
         """End the simulation."""
-        self._stopping.set()
-        self._flow.stop()
+        self._control.stop()
         self._thread.join(timeout=1.0)
 
-    def _check_recorders(self):
-        if not self._status.get_publisher_count():
-            self._flow.on_recorders_gone()
+    def set_parameters_atomically(self, parameter_list):
+        """Check before anything is set, so that what is refused is refused with our reason."""
+        try:
+            options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
+            parameters.build_system(*_system_of(options))
+        except TssError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        outcome = super().set_parameters_atomically(parameter_list)
+        if outcome.successful:
+            self._options = options
+            self._pace.time_scale = options["time_scale"]
+            # rclpy forgets what is set to nothing; here that means "as the scenario says".
+            for parameter in parameters.SIMULATOR:
+                if not self.has_parameter(parameter.name):
+                    self.declare_parameter(parameter.name, None, parameter.descriptor)
+        return outcome
 
-    def _is_connected(self):
-        return all(self._publisher[t.name].get_subscription_count() for t in self._recorded)
+    def _make_setup(self):
+        return Setup.of(self._options, *parameters.build_system(*_system_of(self._options)))
+
+    # --- in the simulation's thread
 
     def _simulate(self):
         try:
-            if self._options["wait_for_recorder"]:
-                self.get_logger().info("waiting for a recorder")
-                self._flow.wait_for_recorder(self._is_connected)
-            with ThreadPoolExecutor(max_workers=1) as pool:
-                self._publish_all(pool)
-            self._finish_delivery()
+            self._control.run_until_end()
+            for name in ("tether_states", "bead_states"):
+                self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
         except Exception as error:
-            if not self._stopping.is_set() and self.context.ok():
+            if self.context.ok():
                 self.finish(error)
         else:
-            if not self._stopping.is_set():
+            if self.context.ok():
                 self.finish()
 
-    def _publish_all(self, pool):
-        """Publish every step, while the next chunk of the motion is integrated."""
-        period_s, turns = self._options["publish_period_s"], self._options["turns"]
-        end_s = min(turns * self._turn_s if turns else math.inf, MAX_TIME_S)
-        # The allowance keeps a last step that falls on the end of the last turn.
-        last = math.floor(end_s / period_s * (1.0 + 1e-12))
-        chunk_steps = max(1, min(CHUNK_STEPS, CHUNK_BEAD_STEPS // self._system.n))
-        step, begun = 0, time.monotonic()
-        self._progress = begun
-        chunk = pool.submit(self._integrate, 0, min(chunk_steps, last + 1))
-        while step <= last:
-            position_m, velocity_m_s = chunk.result()
-            following = step + len(position_m)
-            if following <= last:
-                chunk = pool.submit(
-                    self._integrate, following, min(chunk_steps, last + 1 - following)
-                )
-            lengths_m, tensions_n, tauts = tether_state(self._system, position_m, velocity_m_s)
-            deviations = deviation(position_m, self._reference_radius_m)
-            for row in zip(position_m, velocity_m_s, deviations, lengths_m, tensions_n, tauts):
-                self._pace(step)
-                if self._stopping.is_set():
-                    return
-                self._publish(step, round(step * period_s * 1e9), *row)
-                self._flow.published = step
-                self._log_progress(step)
-                step += 1
-        wall_s = time.monotonic() - begun
-        self.get_logger().info(
-            f"{step} steps, {(step - 1) * period_s / self._turn_s:.2f} turns, in {wall_s:.2f} s; "
-            f"tethers switched between slack and taut {self._propagator.switches} times"
+    def _may_begin(self):
+        if not self._options["wait_for_recorder"]:
+            return True
+        self.get_logger().info("waiting for a recorder", once=True)
+        return bool(self._flow.recorders) and all(
+            self._publisher[name].get_subscription_count() for name in self._recorded
         )
 
-    def _finish_delivery(self):
-        """Let the last steps reach the recorders, and whoever else listens, before the end."""
-        if not self._flow.wait_for_end(RECORDER_FINISH_S) and not self._stopping.is_set():
-            self.get_logger().warning("a recorder did not confirm the last steps")
-        for name in ("tether_states", "bead_states"):
-            self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
+    def _on_event(self, kind, text):
+        self._events.append((kind, text))
+        self.get_logger().info(f"{kind}: {text}")
 
-    def _integrate(self, first_step, count):
-        """Positions and velocities of the next `count` steps, each (count, n, 3)."""
-        times_s = np.arange(first_step, first_step + count) * self._options["publish_period_s"]
-        return self._propagator.sample(times_s, cancelled=self._stopping.is_set)
-
-    def _publish(
-        self, step, time_ns, position_m, velocity_m_s, deviation, length_m, tension_n, taut
-    ):
-        make, publisher = self._messages, self._publisher
-        publisher["tether_states"].publish(
-            make.tether_states(step, time_ns, length_m, tension_n, taut)
-        )
-        if publisher["markers"].get_subscription_count():
-            publisher["markers"].publish(make.markers(time_ns, position_m, tension_n, taut))
-        if publisher["bead_cloud"].get_subscription_count():
-            publisher["bead_cloud"].publish(
-                make.bead_cloud(time_ns, position_m, velocity_m_s, deviation)
+    def _describe(self, step, time_ns):
+        """Announce a run that begins with this step."""
+        setup = self._control.simulation.setup
+        self._run = self._control.run
+        self._messages = translate.StepMessages(setup.system, setup.tension_n, self._frame_id)
+        self._publisher["system_description"].publish(
+            translate.system_description(
+                setup.system,
+                setup.spin_rate_ratio,
+                setup.reference_radius_m,
+                setup.options,
+                self._run,
+                step,
+                time_ns,
+                self._frame_id,
             )
-        if publisher["tether_lengths"].get_subscription_count():
-            publisher["tether_lengths"].publish(make.tether_lengths(time_ns, length_m, tension_n))
+        )
+        self.get_logger().info(
+            f"{setup.options['scenario']}: {setup.system.is_satellite.sum()} satellites, "
+            f"{setup.system.n} beads in all, {setup.system.m} tethers, spin {setup.spin_rate_ratio:g} Omega, "
+            f"one turn {setup.turn_s:.1f} s"
+        )
+
+    def _publish(self, step, row):
+        publisher = self._publisher
+        new_run = self._run != self._control.run
+        if new_run:
+            self._describe(step, row.time_ns)
+        while self._events:
+            kind, text = self._events.pop(0)
+            publisher["simulation_events"].publish(
+                translate.simulation_event(row.time_ns, step, self._run, kind, text, self._frame_id)
+            )
+        make, time_ns = self._messages, row.time_ns
+        publisher["tether_states"].publish(
+            make.tether_states(step, time_ns, row.length_m, row.tension_n, row.taut)
+        )
+        watched = [name for name in FOR_VIEWERS if publisher[name].get_subscription_count()]
+        if "markers" in watched:
+            markers = make.clearing_markers if new_run else make.markers
+            publisher["markers"].publish(markers(time_ns, row.position_m, row.tension_n, row.taut))
+        if "bead_cloud" in watched:
+            publisher["bead_cloud"].publish(
+                make.bead_cloud(time_ns, row.position_m, row.velocity_m_s, row.deviation)
+            )
+        if "tether_lengths" in watched:
+            publisher["tether_lengths"].publish(
+                make.tether_lengths(time_ns, row.length_m, row.tension_n)
+            )
         # Last, so that a recorder that has got this one has got the whole step.
         publisher["bead_states"].publish(
-            make.bead_states(step, time_ns, position_m, velocity_m_s, deviation)
+            make.bead_states(step, time_ns, row.position_m, row.velocity_m_s, row.deviation)
         )
-        now = time.monotonic()
-        if now >= self._clock_due:
-            publisher["/clock"].publish(translate.clock(time_ns))
-            self._clock_due = now + 1.0 / CLOCK_RATE_HZ
-
-    def _pace(self, step):
-        """Return when `step` may be published, by the wall clock and by the recorders."""
-        time_scale = self._options["time_scale"]
-        if step == 0:
-            self._wall_start, self._wall_start_step = time.monotonic(), 0
-        elif time_scale:
-            simulated_s = (step - self._wall_start_step) * self._options["publish_period_s"]
-            wait_s = self._wall_start + simulated_s / time_scale - time.monotonic()
-            if wait_s > 0:
-                self._stopping.wait(wait_s)
-            elif wait_s < -MAX_LAG_S:
-                self.get_logger().warning(
-                    f"time_scale {time_scale:g} is faster than this machine simulates or records",
-                    throttle_duration_sec=PROGRESS_PERIOD_S,
-                )
-                self._wall_start, self._wall_start_step = time.monotonic(), step
-        self._flow.wait()
-
-    def _log_progress(self, step):
-        now = time.monotonic()
-        if now - self._progress > PROGRESS_PERIOD_S:
-            self._progress = now
-            turns = step * self._options["publish_period_s"] / self._turn_s
+        self._publish_frames(row)
+        self._keep_clock()
+        if time.monotonic() - self._progress > PROGRESS_PERIOD_S:
+            self._progress = time.monotonic()
+            turns = time_ns / 1e9 / self._control.simulation.setup.turn_s
             self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
+
+    def _publish_frames(self, row):
+        if "/tf" not in self._publisher or time.monotonic() < self._tf_due:
+            return
+        self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
+        frames = translate.transforms(
+            self._control.simulation.setup.system,
+            row.time_ns,
+            row.position_m,
+            self._options["frame_prefix"],
+        )
+        publisher = self._publisher["/tf"]
+        publisher.publish(publisher.msg_type(transforms=frames))
+
+    def _keep_clock(self):
+        """Publish /clock if it may and should be; return how soon [s] to look again."""
+        if "/clock" not in self._publisher or self._control.step < 0:
+            return CLOCK_PERIOD_S
+        now, time_ns = time.monotonic(), self._control.simulation.row.time_ns
+        wait_s = self._clock_due - now
+        if time_ns == self._clock_ns:
+            wait_s += CLOCK_PERIOD_S
+        if wait_s > 0.0:
+            return wait_s
+        self._publisher["/clock"].publish(translate.clock(time_ns))
+        self._clock_ns, self._clock_due = time_ns, now + 1.0 / CLOCK_RATE_HZ
+        return CLOCK_PERIOD_S
+
+    # --- in the executor's thread
+
+    def _check_recorders(self):
+        if not self._recorder_status.get_publisher_count():
+            self._flow.on_recorders_gone()
+
+    def _report_regularly(self):
+        self._measured = self._control.meter.read()
+        self._report_status()
+
+    def _report_status(self):
+        control = self._control
+        self._status = translate.simulation_status(
+            time.time_ns(),
+            control.state,
+            control.simulation.row.time_ns,
+            max(control.step, 0),
+            control.run,
+            self._pace.time_scale,
+            *self._measured,
+            control.failure,
+        )
+        self._publisher["simulation_status"].publish(self._status)
+
+    def _report_diagnostics(self):
+        simulation = self._control.simulation
+        names, row = simulation.setup.system.tether_name, simulation.row
+        published = self._flow.published
+        self._publisher["/diagnostics"].publish(
+            translate.diagnostics(
+                self.get_fully_qualified_name(),
+                self._status,
+                [names[i] for i in np.flatnonzero(~row.taut) if i < len(names)],
+                {
+                    output: (published - recorder.step, recorder.lost)
+                    for output, recorder in self._flow.recorders.items()
+                },
+            )
+        )
+
+
+def _system_of(options):
+    """Scenario and overrides among the options."""
+    names = [parameter.name for parameter in parameters.OVERRIDES]
+    return options["scenario"], {name: options[name] for name in names if name in options}
 
 
 def main():

@@ -3,17 +3,24 @@
 import functools
 import importlib
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from tss_ros.core import TssError
 
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+#: Most messages that a topic may be told to keep.
+MAX_DEPTH = 1_000_000
+#: What a user may change by the parameters qos_overrides.<topic>.<publisher or subscription>.*.
+OVERRIDABLE = (QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,7 @@ class Topic:
     recorded: bool
     durability: str
     depth: int
+    publisher: str = "sim_node"
 
     def __post_init__(self):
         if self.durability not in ("volatile", "transient_local"):
@@ -36,7 +44,7 @@ class Topic:
     @property
     def message_class(self):
         """The Python class of the topic's messages."""
-        return _message_class(self.type)
+        return message_class(self.type)
 
     @property
     def qos(self):
@@ -91,12 +99,51 @@ class Topic:
         """
         offset, name = 4, self.type
         while True:
-            first = next(iter(_message_class(name).get_fields_and_field_types().values()))
+            first = next(iter(message_class(name).get_fields_and_field_types().values()))
             if first == "std_msgs/Header":
                 return offset
             if not (first.startswith("sequence<") and "/" in first):
                 return None
             offset, name = offset + 4, _base_type(first)
+
+
+def create_publisher(node, topic):
+    """Publish a topic, with its QoS as the parameters `qos_overrides.*` of the node say.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topic : Topic
+
+    Returns
+    -------
+    rclpy.publisher.Publisher
+
+    Raises
+    ------
+    TssError
+        If an override is not possible, or if the topic's message package is not installed.
+    """
+    try:
+        message_class = topic.message_class
+    except ModuleNotFoundError as error:
+        raise TssError(f"{topic.name} needs the package {error.name}, not installed here") from None
+    options = QoSOverridingOptions(OVERRIDABLE, callback=_check_depth)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a depth of 0 is an error here
+            return node.create_publisher(
+                message_class, topic.name, topic.qos, qos_overriding_options=options
+            )
+    except (RuntimeError, InvalidQosOverridesError) as error:
+        raise TssError(f"qos_overrides of {topic.name}: {error}") from None
+
+
+def _check_depth(qos):
+    fits = 1 <= qos.depth <= MAX_DEPTH
+    return SetParametersResult(
+        successful=fits, reason=f"depth is {qos.depth}; allowed: 1 to {MAX_DEPTH}"
+    )
 
 
 @functools.cache
@@ -121,7 +168,8 @@ def read_topics():
         raise TssError(f"{path}: {error}; see its first lines") from error
 
 
-def _message_class(type_name):
+def message_class(type_name):
+    """The Python class of "package/msg/Type"."""
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
@@ -133,7 +181,7 @@ def _interface_file(type_name, suffix):
 
 def _used_types(type_name):
     """The message types among a type's fields."""
-    fields = _message_class(type_name).get_fields_and_field_types().values()
+    fields = message_class(type_name).get_fields_and_field_types().values()
     return [_base_type(field) for field in fields if "/" in field]
 
 

@@ -1,12 +1,16 @@
 """Between the core's arrays and ROS messages; nothing else knows both."""
 
 import array
+import json
 import math
+import platform
 import sys
+from importlib.metadata import version
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, TransformStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
@@ -15,12 +19,19 @@ from tss_interfaces.msg import (
     Confirmation,
     CriticalRate,
     FloquetResult,
+    Result,
+    SimulationEvent,
+    SimulationState,
+    SimulationStatus,
     SystemDescription,
     TetherStates,
 )
 from visualization_msgs.msg import Marker, MarkerArray
 
-FRAME_ID = "orbit"
+from tss_ros.scenario import read_text
+
+#: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
+FRAME_ID, INERTIAL_FRAME_ID = "orbit", "inertial"
 #: Fields of the bead cloud, all float32.
 CLOUD_FIELDS = ("x", "y", "z", "deviation", "speed_m_s")
 #: Sizes of what viewers draw, over the mean tether length between two satellites.
@@ -45,26 +56,39 @@ def clock(time_ns):
     return Clock(clock=stamp(time_ns))
 
 
-def system_description(system, scenario, spin_rate_ratio, reference_radius_m, simulation):
+def system_description(
+    system,
+    spin_rate_ratio,
+    reference_radius_m,
+    options,
+    run=0,
+    first_step=0,
+    time_ns=0,
+    frame_id=FRAME_ID,
+):
     """What stays the same during a run.
 
     Parameters
     ----------
     system : System
-    scenario : str
     spin_rate_ratio : float
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
-    simulation : dict
-        The simulator's parameters `disturbance_m`, `disturbance_seed` and `publish_period_s`.
+    options : dict
+        The simulator's parameters; at least `scenario`, `disturbance_m`, `disturbance_seed` and
+        `publish_period_s`.
+    run, first_step, time_ns : int
+        Number of the run, its first step and the simulation time [ns] of that.
+    frame_id : str
+        Name of the orbit frame.
 
     Returns
     -------
     SystemDescription
     """
     return SystemDescription(
-        header=Header(frame_id=FRAME_ID),
-        scenario=scenario,
+        header=Header(stamp=stamp(time_ns), frame_id=frame_id),
+        scenario=options["scenario"],
         bead_name=list(system.bead_name),
         is_satellite=system.is_satellite.tolist(),
         mass_kg=_doubles(system.mass_kg),
@@ -77,10 +101,153 @@ def system_description(system, scenario, spin_rate_ratio, reference_radius_m, si
         orbit_rate_rad_s=system.orbit_rate_rad_s,
         spin_rate_ratio=spin_rate_ratio,
         reference_radius_m=_doubles(reference_radius_m),
-        disturbance_m=simulation["disturbance_m"],
-        disturbance_seed=simulation["disturbance_seed"],
-        publish_period_s=simulation["publish_period_s"],
+        disturbance_m=options["disturbance_m"],
+        disturbance_seed=options["disturbance_seed"],
+        publish_period_s=options["publish_period_s"],
+        run=run,
+        first_step=first_step,
+        parameters_json=json.dumps(options),
+        scenario_yaml=read_text(options["scenario"]),
+        versions=[
+            *(f"{name} {version(name)}" for name in ("tss_ros", "numpy", "scipy", "numba")),
+            f"Python {platform.python_version()}",
+            f"{platform.system()} {platform.machine()}",
+        ],
     )
+
+
+def simulation_state(state):
+    """A state, by its number, as a message."""
+    return SimulationState(state=int(state))
+
+
+def result(code, text):
+    """What became of a request, as a message."""
+    return Result(result=int(code), error_message=text)
+
+
+def simulation_event(time_ns, step, run, kind, text, frame_id):
+    """What was done to the motion from outside."""
+    header = Header(stamp=stamp(time_ns), frame_id=frame_id)
+    return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
+
+
+def simulation_status(
+    wall_ns, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
+):
+    """How the simulator is doing; times in ns, `state` by its number."""
+    return SimulationStatus(
+        stamp=stamp(wall_ns),
+        state=simulation_state(state),
+        simulation_time=stamp(time_ns),
+        step=step,
+        run=run,
+        time_scale=time_scale,
+        real_time_factor=real_time_factor,
+        step_cost_s=step_cost_s,
+        message=message,
+    )
+
+
+def diagnostics(name, status, slack, recorders):
+    """Diagnostics of a simulator.
+
+    Parameters
+    ----------
+    name : str
+        Fully qualified name of the node.
+    status : SimulationStatus
+    slack : sequence of str
+        Names of the tethers that are slack.
+    recorders : dict of str to (int, int)
+        By output: steps that each recorder is behind, and messages it has lost.
+
+    Returns
+    -------
+    diagnostic_msgs.msg.DiagnosticArray
+    """
+    playing = status.state.state == SimulationState.STATE_PLAYING
+    if status.message:
+        motion = DiagnosticStatus.ERROR, status.message
+    elif playing and status.real_time_factor < 0.9 * status.time_scale:
+        motion = DiagnosticStatus.WARN, "slower than time_scale asks for"
+    else:
+        names = {SimulationState.STATE_STOPPED: "stopped", SimulationState.STATE_PAUSED: "paused"}
+        motion = DiagnosticStatus.OK, names.get(status.state.state, "playing")
+    lost = sum(lost for _, lost in recorders.values())
+    recording = (
+        (DiagnosticStatus.WARN, f"{lost} messages were lost")
+        if lost
+        else (DiagnosticStatus.OK, "recording" if recorders else "no recorder")
+    )
+    tethers = (
+        (DiagnosticStatus.WARN, f"{len(slack)} slack")
+        if slack
+        else (DiagnosticStatus.OK, "all taut")
+    )
+    tasks = {
+        "motion": (
+            motion,
+            {
+                "real-time factor": f"{status.real_time_factor:.4g}",
+                "time_scale": f"{status.time_scale:.4g}",
+                "step cost [ms]": f"{1e3 * status.step_cost_s:.4g}",
+                "step": str(status.step),
+                "run": str(status.run),
+            },
+        ),
+        "tethers": (tethers, {"slack": ", ".join(slack)}),
+        "recorders": (
+            recording,
+            {
+                output: f"{behind} steps behind, {lost} messages lost"
+                for output, (behind, lost) in recorders.items()
+            },
+        ),
+    }
+    return DiagnosticArray(
+        header=Header(stamp=status.stamp),
+        status=[
+            DiagnosticStatus(
+                name=f"{name}: {task}",
+                hardware_id=name,
+                level=level,
+                message=text,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+            for task, ((level, text), values) in tasks.items()
+        ],
+    )
+
+
+def transforms(system, time_ns, position_m, prefix=""):
+    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
+
+    Parameters
+    ----------
+    system : System
+    time_ns : int
+    position_m : ndarray, shape (n, 3)
+    prefix : str
+
+    Returns
+    -------
+    list of geometry_msgs.msg.TransformStamped
+        n + 1 of them. The orbit frame turns about z with the orbital rate, y pointing away from the
+        Earth; beads have no attitude.
+    """
+    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
+    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
+    names = [FRAME_ID, *system.bead_name]
+    header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
+    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
+    frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
+    frames[0].transform.rotation.z = math.sin(angle / 2.0)
+    frames[0].transform.rotation.w = math.cos(angle / 2.0)
+    for frame, (x, y, z) in zip(frames, [centre_m.tolist(), *position_m.tolist()]):
+        place = frame.transform.translation
+        place.x, place.y, place.z = x, y, z
+    return frames
 
 
 class StepMessages:
@@ -91,10 +258,12 @@ class StepMessages:
     system : System
     tension_n : ndarray, shape (m,)
         Undisturbed tensions [N], for the colours of the tethers.
+    frame_id : str
+        Name of the orbit frame.
     """
 
-    def __init__(self, system, tension_n):
-        self._header = Header(frame_id=FRAME_ID)
+    def __init__(self, system, tension_n, frame_id=FRAME_ID):
+        self._header = Header(frame_id=frame_id)
         self._bead_states = BeadStates(header=self._header, name=list(system.bead_name))
         self._tether_states = TetherStates(header=self._header, name=list(system.tether_name))
         self._tether_lengths = JointState(header=self._header, name=list(system.tether_name))
@@ -150,6 +319,11 @@ class StepMessages:
         points = np.column_stack([position_m, deviation, speed_m_s]).astype(np.float32)
         message.data = array.array("B", points.tobytes())
         return message
+
+    def clearing_markers(self, time_ns, position_m, tension_n, taut):
+        """The same as `markers`, after taking away what was drawn for another system."""
+        markers = self.markers(time_ns, position_m, tension_n, taut).markers
+        return MarkerArray(markers=[Marker(header=self._header, action=Marker.DELETEALL), *markers])
 
     def markers(self, time_ns, position_m, tension_n, taut):
         """MarkerArray: satellites and beads as spheres, tethers as lines coloured by tension."""

@@ -1,0 +1,178 @@
+"""How fast recording stays lossless, its memory, and how long a large bag takes to open.
+
+    . ./activate && python benchmarks/recording.py [--steps 1000000]
+
+Every message is of the 3-star formation. The bare writer writes the same messages in equal chunks
+with the same compression, but no counts, no metadata.yaml and no flushes to the disk.
+"""
+
+import argparse
+import os
+import re
+import resource
+import signal
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from ament_index_python.packages import get_package_prefix
+from mcap.writer import CompressionType, Writer
+from rclpy.serialization import serialize_message
+
+from tss_ros import review
+from tss_ros.bag_writer import CHUNK_BYTES, BagWriter
+from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
+from tss_ros.recording import read_bag
+from tss_ros.topics import read_topics
+from tss_ros.translate import StepMessages, system_description
+
+RATE, POOL, FLUSH_PERIOD_S = -2.5, 1000, 0.25
+STATES = ("tether_states", "bead_states")
+STEP = ("tether_states", "markers", "bead_cloud", "tether_lengths", "bead_states")
+
+
+def messages():
+    """The description, and the messages of POOL steps: a list of {topic: bytes}."""
+    system = ring()
+    start = initial_state(system, RATE)
+    radius_m = np.linalg.norm(start.position_m, axis=1)
+    propagator = Propagator(system, RATE, disturbed(start, 10.0, 1))
+    position_m, velocity_m_s = propagator.sample(np.arange(POOL, dtype=float))
+    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+    deviations = deviation(position_m, radius_m)
+    make = StepMessages(system, tension_n[0])
+    steps = []
+    for i in range(POOL):
+        ns, place = i * 10**9, (position_m[i], velocity_m_s[i], deviations[i])
+        parts = {
+            "tether_states": make.tether_states(i, ns, length_m[i], tension_n[i], taut[i]),
+            "markers": make.markers(ns, position_m[i], tension_n[i], taut[i]),
+            "bead_cloud": make.bead_cloud(ns, *place),
+            "tether_lengths": make.tether_lengths(ns, length_m[i], tension_n[i]),
+            "bead_states": make.bead_states(i, ns, *place),
+        }
+        steps.append({name: bytes(serialize_message(part)) for name, part in parts.items()})
+    simulation = {"disturbance_m": 10.0, "disturbance_seed": 1, "publish_period_s": 1.0}
+    described = system_description(system, "three_star", RATE, radius_m, simulation)
+    return bytes(serialize_message(described)), steps
+
+
+def renumbered(data, step):
+    """A state with another step number and the time that belongs to it."""
+    changed = bytearray(data)
+    changed[4:8] = step.to_bytes(4, "little")
+    changed[28:36] = step.to_bytes(8, "little")  # behind the stamp and "orbit"
+    return bytes(changed)
+
+
+def bare_writer(path, described, steps, count):
+    """Messages a second of the library's own writer."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        writer.start(profile="ros2")
+        channels = {}
+        for name in STEP:
+            topic = read_topics()[name]
+            schema = writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
+            channels[name] = writer.register_channel(f"/{name}", "cdr", schema)
+        begun = time.perf_counter()
+        for i in range(count):
+            for name in STEP:
+                writer.add_message(channels[name], i * 10**9, steps[i % POOL][name], i, i)
+        writer.finish()
+        return len(STEP) * count / (time.perf_counter() - begun)
+
+
+def bag(directory, described, steps, count, names=STEP, on_million=None, **split):
+    """Messages a second of our writer."""
+    writer = BagWriter(directory, "jazzy", **split)
+    channels = {}
+    for name in ("system_description", *names):
+        t = read_topics()[name]
+        channels[name] = writer.add_topic(
+            f"/{name}", t.type, t.definition, t.type_hash, t.offered_qos
+        )
+    writer.write(channels["system_description"], described, 0, 0, 1)
+    begun = flushed = time.perf_counter()
+    for i in range(count):
+        for name in names:
+            data = steps[i % POOL][name]
+            if names is STATES:
+                data = renumbered(data, i)
+            writer.write(channels[name], data, i * 10**9, i, i)
+        if time.perf_counter() - flushed > FLUSH_PERIOD_S:
+            writer.flush()
+            flushed = time.perf_counter()
+        if on_million and i * len(names) % 1_000_000 < len(names):
+            on_million(writer.message_count)
+    writer.close()
+    return writer.message_count / (time.perf_counter() - begun)
+
+
+def nodes(folder):
+    """What sim_node and logger_node say about a run as fast as the two together go."""
+    programs = Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros"
+    logger = subprocess.Popen(
+        [programs / "logger_node", "--ros-args", "-p", f"output:={folder / 'nodes'}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    parameters = {"time_scale": 0.0, "turns": 20.0, "wait_for_recorder": "true"}
+    arguments = [a for k, v in parameters.items() for a in ("-p", f"{k}:={v}")]
+    simulator = subprocess.run(
+        [programs / "sim_node", "--ros-args", *arguments], capture_output=True, text=True
+    )
+    logger.send_signal(signal.SIGINT)
+    told = logger.communicate()[0].strip().rpartition(": ")[2]
+    count, wall_s = int(told.split()[0]), float(re.search(r"in ([\d.]+) s", simulator.stderr)[1])
+    return count / wall_s, told
+
+
+def memory_mb():
+    """Resident memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def main():
+    """Print every figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=1_000_000, help="of the bag that is opened")
+    parser.add_argument("--millions", type=int, default=10, help="of messages, for the memory")
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    described, steps = messages()
+    size = sum(map(len, steps[0].values()))
+    print(f"one step: {len(STEP)} messages, {size} bytes")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for repeat in range(3):
+            bare = bare_writer(folder / f"bare_{repeat}.mcap", described, steps, 40_000)
+            ours = bag(folder / f"ours_{repeat}", described, steps, 40_000)
+            print(f"bare mcap writer {bare:8.0f} messages/s, BagWriter {ours:8.0f} messages/s")
+        rate, told = nodes(folder)
+        print(f"sim_node to logger_node {rate:.0f} messages/s: {told}")
+        count = options.millions * 1_000_000 // len(STEP)
+
+        def show(written):
+            print(f"{written:9d} messages written, {memory_mb():.0f} MB", flush=True)
+
+        bag(folder / "long", described, steps, count, on_million=show, split_bytes=100_000_000)
+        bag(folder / "large", described, steps, options.steps, names=STATES)
+        begun = time.perf_counter()
+        recording = read_bag(folder / "large")
+        read_s = time.perf_counter() - begun
+        begun = time.perf_counter()
+        review.save(recording, folder / "large.rrd", "large")
+        print(
+            f"{len(recording.step)} steps: read in {read_s:.1f} s, made a Rerun file of "
+            f"{(folder / 'large.rrd').stat().st_size / 1e6:.0f} MB in "
+            f"{time.perf_counter() - begun:.1f} s"
+        )
+
+
+if __name__ == "__main__":
+    main()

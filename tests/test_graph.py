@@ -1,0 +1,485 @@
+"""The nodes among others: names, QoS, parameters, diagnostics, subscribers and nodes that die."""
+
+import json
+import signal
+import sys
+import time
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import request_fuzzer
+import ros_harness
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from ros_harness import time_ns
+from rosbags.highlevel import AnyReader
+from tss_interfaces.msg import BeadStates, SimulationState
+from tss_interfaces.srv import (
+    ComputeFloquet,
+    GetSimulationState,
+    ResetSimulation,
+    SetSimulationState,
+    StepSimulation,
+)
+
+from tss_ros import parameters, translate
+from tss_ros.core import ring
+from tss_ros.topics import read_topics
+
+SHARE = Path(get_package_share_directory("tss_ros"))
+SCENARIOS = ("three_star", "three_star_50kg", "three_star_1000kg", "six_bead")
+SUBSCRIBER = f"""#!{sys.executable}
+import rclpy
+from tss_interfaces.msg import BeadStates
+rclpy.init()
+node = rclpy.create_node("subscriber")
+node.create_subscription(BeadStates, "bead_states", lambda message: print("got", flush=True), 10)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    with ros_harness.processes(tmp_path) as start:
+        yield start
+
+
+@pytest.fixture
+def client():
+    with ros_harness.client_node() as (node, spin_until):
+        yield node, spin_until
+
+
+def recorded_steps(bag, topic):
+    with AnyReader([bag]) as reader:
+        connections = [c for c in reader.connections if c.topic == topic]
+        return [
+            reader.deserialize(data, connection.msgtype).step
+            for connection, _, data in reader.messages(connections=connections)
+        ]
+
+
+# --- names
+
+
+def test_two_simulators_side_by_side(start, client, tmp_path):
+    """Each with its namespace, recorder and pace; one of them gives the time."""
+    left = start("sim_node", "-r", "__ns:=/left", time_scale=50, spin_rate_ratio=-2.2)
+    right = start(
+        "sim_node", "-r", "__ns:=/right", time_scale=10, scenario="six_bead", publish_clock=False
+    )
+    logger = start("logger_node", "-r", "__ns:=/right", output="bag")
+    two = [ros_harness.Simulator(*client, namespace=name) for name in ("/left", "/right")]
+    for simulator, beads in zip(two, (3, 6)):
+        assert len(simulator.wait_for_step(20).name) == beads
+    two[1].pause()
+    before = two[0].settled().step
+    two[0].wait_for_step(before + 50)
+    stands = two[1].settled().step
+    assert client[0].count_publishers("/clock") == 1
+    # /clock is the left one's time, which runs on while the right one stands.
+    last = time_ns(two[1].beads[-1].header.stamp)
+    client[1](lambda: two[0].clocks and time_ns(two[0].clocks[-1].clock) > last, 10, "/clock")
+    assert two[0].set(time_scale=20).successful
+    for process in (left, right, logger):
+        assert process.stop() == 0 and "rror" not in process.stderr
+    steps = recorded_steps(tmp_path / "bag", "/right/bead_states")
+    assert steps == list(range(steps[0], stands + 1))
+
+
+def test_names_can_be_remapped(start, client):
+    node, spin_until = client
+    simulator = start(
+        "sim_node", "-r", "__node:=formation", "-r", "bead_states:=satellites", start_paused=True
+    )
+    messages = []
+    node.create_subscription(BeadStates, "/satellites", messages.append, 10)
+
+    def step():
+        ros_harness.call(
+            node,
+            spin_until,
+            StepSimulation,
+            "/formation/step_simulation",
+            StepSimulation.Request(steps=1),
+        )
+        return messages
+
+    ros_harness.wait_until(step, 20, "a remapped message")
+    assert simulator.stop() == 0
+
+
+# --- QoS
+
+
+def test_topics_have_the_qos_of_the_file_unless_overridden(start, client):
+    node, spin_until = client
+    simulator = start(
+        "sim_node",
+        **{
+            "qos_overrides./markers.publisher.reliability": "best_effort",
+            "qos_overrides./bead_states.publisher.depth": 77,
+        },
+    )
+    expected = {name: (t.depth, "RELIABLE", t.durability) for name, t in read_topics().items()}
+    del expected["recorder_status"], expected["/tf"]
+    expected["markers"] = (1000, "BEST_EFFORT", "volatile")
+    expected["bead_states"] = (77, "RELIABLE", "volatile")
+
+    def offered():
+        found = {
+            name: [
+                (i.qos_profile.reliability.name, i.qos_profile.durability.name.lower())
+                for i in node.get_publishers_info_by_topic(name)
+            ]
+            for name in expected
+        }
+        return all(found.values()) and found
+
+    found = spin_until(offered, ros_harness.START_S, "every topic")
+    assert found == {name: [qos[1:]] for name, qos in expected.items()}
+    # The middleware does not tell depths to others; the node's parameters do.
+    sim = ros_harness.Simulator(node, spin_until)
+    refused = sim.set(**{"qos_overrides./bead_states.publisher.depth": 78})
+    assert not refused.successful and "read-only" in refused.reason
+    assert simulator.stop() == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"qos_overrides./markers.publisher.reliability": "perhaps"}, "perhaps"),
+        ({"qos_overrides./markers.publisher.depth": 0}, "depth is 0; allowed: 1 to 1000000"),
+        ({"qos_overrides./markers.publisher.depth": "x"}, "depth"),
+        ({"publish_tf": True}, "/tf needs the package tf2_msgs"),
+    ],
+)
+def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expected):
+    if "publish_tf" in given:
+        try:
+            import tf2_msgs  # noqa: F401
+
+            pytest.skip("tf2_msgs is installed here")
+        except ModuleNotFoundError:
+            pass
+    process = start("sim_node", **given)
+    assert process.wait(ros_harness.START_S) == 1
+    (line,) = process.stderr.splitlines()
+    assert line.startswith("sim_node: ") and expected in line
+
+
+# --- parameters
+
+
+def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, client):
+    node, spin_until = client
+    process = start("sim_node", start_paused=True)
+    simulator = ros_harness.Simulator(node, spin_until)
+    names = [parameter.name for parameter in parameters.SIMULATOR]
+    request = DescribeParameters.Request(names=names)
+    answer = ros_harness.call(
+        node, spin_until, DescribeParameters, "/sim_node/describe_parameters", request
+    )
+    assert [descriptor.name for descriptor in answer.descriptors] == names
+    described = {descriptor.name: descriptor for descriptor in answer.descriptors}
+    for descriptor in answer.descriptors:
+        assert descriptor.description and descriptor.additional_constraints
+    (limits,) = described["time_scale"].floating_point_range
+    assert (limits.from_value, limits.to_value) == (0.0, 1e6)
+    fixed = {name for name, descriptor in described.items() if descriptor.read_only}
+    assert fixed == {
+        "turns",
+        "wait_for_recorder",
+        "start_paused",
+        "publish_clock",
+        "publish_tf",
+        "frame_prefix",
+    }
+    for given, expected in (
+        ({"time_scale": -1.0}, "time_scale is -1.0; allowed: a number from 0 to 1000000"),
+        ({"time_scale": None}, "time_scale is nothing; allowed: a number from 0 to 1000000"),
+        ({"time_scale": "x"}, "time_scale is 'x'; allowed: a number from 0 to 1000000"),
+        ({"turns": 2.0}, "turns is fixed when the node starts"),
+        ({"satellite_mass_kg": [1.0, 2.0]}, "satellite_mass_kg must have 1 or 3 values"),
+        ({"scenario": "four_star"}, "scenario must be one of"),
+        ({"satellites": 500, "beads_per_tether": 9}, "make 5000 satellites and beads; allowed"),
+        ({"nonesuch": 1}, "nonesuch"),
+        # Together or not at all.
+        ({"time_scale": 7.0, "satellites": 0}, "satellites is 0; allowed: a whole number from 2"),
+    ):
+        result = simulator.set(**given)
+        assert not result.successful and expected in result.reason, (given, result.reason)
+    # Values that fit only together are accepted only together.
+    assert simulator.set(satellites=4, satellite_mass_kg=[1.0, 2.0, 1.0, 2.0]).successful
+    assert not simulator.set(satellites=3).successful
+    # Taken away, a parameter has the scenario's value again, and may be set once more.
+    assert simulator.set(satellite_mass_kg=None).successful
+    assert simulator.set(satellites=None).successful
+    assert simulator.set(satellite_mass_kg=5).successful
+    simulator.join()
+    assert list(simulator.descriptions[-1].mass_kg) == [5.0, 5.0, 5.0]
+    assert simulator.descriptions[-1].header.frame_id == "orbit"
+    # A type that no parameter has.
+    wrong = Parameter(name="time_scale", value=ParameterValue(type=99))
+    good = Parameter(name="time_scale", value=ParameterValue(type=3, double_value=3.0))
+    request = SetParameters.Request(parameters=[good, wrong, good])
+    name = "/sim_node/set_parameters"
+    answer = ros_harness.call(node, spin_until, SetParameters, name, request)
+    assert [result.successful for result in answer.results] == [True, False, True]
+    assert "99" in answer.results[1].reason
+    assert process.stop() == 0 and "rror" not in process.stderr
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_parameter_files_start_every_node(start, client, scenario):
+    file = SHARE / "config" / f"{scenario}.yaml"
+    simulator = start("sim_node", "--params-file", str(file), start_paused=True)
+    described = ros_harness.Simulator(*client)
+    described.spin_until(lambda: described.descriptions, ros_harness.START_S, "the description")
+    (message,) = described.descriptions
+    assert (message.scenario, message.disturbance_m) == (scenario, 10.0)
+    assert message.spin_rate_ratio == translate_scenario(scenario)
+    if scenario == "six_bead":
+        stability = start("stability_node", "--params-file", str(file))
+        logger = start("logger_node", "--params-file", str(file), output="bag")
+        stability.wait_for_line("requests about six_bead")
+        logger.wait_for_line("recording")
+        assert stability.stop() == 0 and logger.stop() == 0
+    assert simulator.stop() == 0
+
+
+def translate_scenario(name):
+    """Spin rate in the shipped scenario file, read as plain YAML."""
+    text = (Path(parameters.__file__).parent / "scenarios" / f"{name}.yaml").read_text()
+    return yaml.safe_load(text)["spin_rate_ratio"]
+
+
+# --- what is shipped for launch and viewers
+
+
+def known_names():
+    return {p.name for p in (*parameters.SIMULATOR, *parameters.LOGGER)}
+
+
+@pytest.mark.parametrize("name", ["simulation", "review"])
+def test_launch_files_name_what_exists(name):
+    launch = ElementTree.parse(SHARE / "launch" / f"{name}.launch.xml").getroot()
+    arguments = {arg.get("name") for arg in launch.iter("arg")}
+    text = ElementTree.tostring(launch, encoding="unicode")
+    assert {part.split(")")[0] for part in text.split("$(var ")[1:]} == arguments
+    for node in launch.iter("node"):
+        assert node.get("pkg") == "tss_ros"
+        assert (SHARE.parent.parent / "lib" / "tss_ros" / node.get("exec")).exists()
+        for param in node.iter("param"):
+            assert param.get("from") == "$(var params_file)" or param.get("name") in known_names()
+    for executable in launch.iter("executable"):
+        ros2, verb, package, command, *_ = executable.get("cmd").split()
+        assert (ros2, verb, package) == ("ros2", "run", "tss_ros")
+        assert (SHARE.parent.parent / "lib" / "tss_ros" / command).exists()
+
+
+def test_layouts_show_what_is_published():
+    topics = {f"/{name.lstrip('/')}": topic.type for name, topic in read_topics().items()}
+    rviz = yaml.safe_load((SHARE / "layouts" / "tss.rviz").read_text())["Visualization Manager"]
+    shown = {d["Class"]: d["Topic"]["Value"] for d in rviz["Displays"] if "Topic" in d}
+    assert {topics[value].split("/")[-1]: value for value in shown.values()} == {
+        kind.split("/")[-1]: value for kind, value in shown.items()
+    }
+    assert rviz["Global Options"]["Fixed Frame"] == translate.FRAME_ID
+    panels = json.loads((SHARE / "layouts" / "tss_foxglove.json").read_text())
+    scene = panels["configById"]["3D!formation"]
+    assert scene["followTf"] == translate.FRAME_ID and set(scene["topics"]) < set(topics)
+    plots = [p for name, p in panels["configById"].items() if name.startswith("Plot!")]
+    for path in (path["value"] for plot in plots for path in plot["paths"]):
+        topic, field = path.split(".")
+        message = next(t for name, t in read_topics().items() if f"/{name}" == topic).message_class
+        assert field.removesuffix("[:]") in message.get_fields_and_field_types()
+
+    def leaves(layout):
+        if isinstance(layout, str):
+            return {layout}
+        return leaves(layout["first"]) | leaves(layout["second"])
+
+    assert leaves(panels["layout"]) == set(panels["configById"])
+
+
+def test_frames_turn_with_the_orbit():
+    """Against the orbit's own geometry: position and velocity of the centre, and of a bead."""
+    system = ring()
+    quarter_ns = round(2 * np.pi / np.sqrt(3.986e14 / 7378e3**3) / 4 * 1e9)
+    bead_m = np.array([[100.0, 20.0, 3.0]] * 3)
+    for now_ns, centre, bead in (
+        (0, [0.0, 7378e3, 0.0], [100.0, 20.0, 3.0]),
+        # A quarter of an orbit later x points where y did: up has become -x.
+        (quarter_ns, [-7378e3, 0.0, 0.0], [-20.0, 100.0, 3.0]),
+    ):
+        orbit, *beads = translate.transforms(system, now_ns, bead_m, "left/")
+        assert (orbit.header.frame_id, orbit.child_frame_id) == ("left/inertial", "left/orbit")
+        move, turn = orbit.transform.translation, orbit.transform.rotation
+        assert time_ns(orbit.header.stamp) == now_ns
+        np.testing.assert_allclose([move.x, move.y, move.z], centre, atol=0.1)
+        names = [f"left/{name}" for name in system.bead_name]
+        assert [frame.child_frame_id for frame in beads] == names
+        assert {frame.header.frame_id for frame in beads} == {"left/orbit"}
+        place = beads[1].transform.translation
+        # The rotation of a vector by the quaternion (0, 0, z, w).
+        c, s = turn.w**2 - turn.z**2, 2 * turn.w * turn.z
+        turned = [c * place.x - s * place.y, s * place.x + c * place.y, place.z]
+        np.testing.assert_allclose(turned, bead, atol=1e-3)
+
+
+# --- diagnostics
+
+
+def test_diagnostics_tell_pace_slack_and_recorders(start, client):
+    node, spin_until = client
+    reports = {}
+
+    def keep(message):
+        reports.update({status.name: status for status in message.status})
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    process = start("sim_node", spin_rate_ratio=-1.2, time_scale=1000, publish_period_s=5)
+
+    def report(task, condition):
+        def look():
+            status = reports.get(f"/sim_node: {task}")
+            return status if status and condition(status) else None
+
+        return spin_until(look, ros_harness.START_S, f"diagnostics of {task}")
+
+    assert report("recorders", lambda s: s.message == "no recorder").level == b"\x00"
+    slack = report("tethers", lambda s: "slack" in s.message)
+    assert slack.level == b"\x01"
+    (names,) = (value.value for value in slack.values if value.key == "slack")
+    assert set(names.split(", ")) <= {"tether_1", "tether_2", "tether_3"}, names
+    motion = report("motion", lambda s: float(s.values[0].value) > 500)
+    assert {v.key for v in motion.values} > {"real-time factor", "step cost [ms]"}
+    logger = start("logger_node", output="bag")
+    recorders = report("recorders", lambda s: s.message == "recording")
+    assert recorders.values[0].key.endswith("/bag")
+    assert recorders.values[0].value.endswith("0 messages lost")
+    assert logger.stop() == 0 and process.stop() == 0
+    assert len(process.stderr.splitlines()) < 10, process.stderr
+
+
+# --- other subscribers, and nodes that die
+
+
+def test_subscribers_that_stop_or_die_leave_no_gap(start, tmp_path):
+    script = tmp_path / "subscriber"
+    script.write_text(SUBSCRIBER)
+    script.chmod(0o755)
+    slow, dying = start(str(script)), start(str(script))
+    logger = start("logger_node", output="bag")
+    simulator = start("sim_node", time_scale=0, wait_for_recorder=True)
+    bag = tmp_path / "bag" / "bag_0.mcap"
+    for subscriber in (slow, dying):
+        subscriber.wait_for_line("got")
+
+    def grows(size):
+        ros_harness.wait_until(lambda: bag.stat().st_size > size, 60, "the recording")
+        return bag.stat().st_size
+
+    size = grows(300_000)
+    slow.send(signal.SIGSTOP)
+    size = grows(size + 1_000_000)
+    dying.kill()
+    late = start(str(script))
+    late.wait_for_line("got")
+    grows(size + 1_000_000)
+    assert simulator.stop() == 0 and logger.stop() == 0
+    assert " 0 lost" in logger.stdout
+    for topic in ("/bead_states", "/tether_states"):
+        steps = recorded_steps(tmp_path / "bag", topic)
+        assert steps == list(range(len(steps))) and len(steps) > 1000
+
+
+@pytest.mark.parametrize("victim", ["sim_node", "stability_node", "logger_node"])
+def test_a_killed_node_is_not_missed_and_can_come_back(start, client, victim):
+    node, spin_until = client
+    given = {
+        "sim_node": {"time_scale": 200},
+        "stability_node": {},
+        "logger_node": {"output": "bag"},
+    }
+    running = {name: start(name, **parameters) for name, parameters in given.items()}
+    simulator = ros_harness.Simulator(node, spin_until)
+    floquet = node.create_client(ComputeFloquet, "/stability_node/compute_floquet")
+
+    def works(name):
+        if name == "stability_node":
+            # Until the middleware gives up a killed node, it may get the requests for the new one.
+            answers = [floquet.call_async(ComputeFloquet.Request(spin_rate_ratio=[-2.5]))]
+
+            def answered():
+                if time.monotonic() - begun > len(answers):
+                    answers.append(floquet.call_async(ComputeFloquet.Request(spin_rate_ratio=[2])))
+                return any(answer.done() for answer in answers)
+
+            begun = time.monotonic()
+            return spin_until(answered, ros_harness.START_S, "multipliers") or True
+        if name == "sim_node":
+            del simulator.beads[:]
+            return simulator.wait_for_step(1)
+        bag = running[name].directory / given[name]["output"]
+        (file,) = bag.glob("*.mcap")
+        size = file.stat().st_size
+        return spin_until(lambda: file.stat().st_size > size, 20, "the recording going on")
+
+    for name in running:
+        assert works(name)
+    running[victim].kill()
+    for name in set(running) - {victim, "logger_node" if victim == "sim_node" else ""}:
+        assert works(name), name
+    given["logger_node"]["output"] = "second"
+    running[victim] = start(victim, **given[victim])
+    if victim != "logger_node":
+        given["logger_node"]["output"] = "bag"
+    else:
+        second = running[victim].directory / "second"
+        ros_harness.wait_until(lambda: list(second.glob("*.mcap")), ros_harness.START_S, "a bag")
+    for name in running:
+        assert works(name), name
+    for process in running.values():
+        assert process.stop() == 0, process.stderr
+
+
+# --- under load
+
+
+def test_requests_are_answered_while_a_stiff_system_is_integrated(start, client):
+    """999 beads, of which every step costs a second: nobody waits for it."""
+    process = start(
+        "sim_node", beads_per_tether=332, time_scale=0, publish_period_s=5, disturbance_m=10
+    )
+    simulator = ros_harness.Simulator(*client)
+    simulator.spin_until(lambda: simulator.status, ros_harness.START_S, "the simulator")
+    times = {}
+
+    def timed(name, work):
+        work()  # finds the service
+        begun = time.monotonic()
+        work()
+        times[name] = time.monotonic() - begun
+
+    timed("state", lambda: simulator.do(GetSimulationState))
+    timed("parameter", lambda: simulator.set(disturbance_m=5.0))
+    paused = SimulationState(state=SimulationState.STATE_PAUSED)
+    timed("pause", lambda: simulator.ask(SetSimulationState, state=paused))
+    simulator.play()
+    timed("time", lambda: simulator.do(ResetSimulation, scope=1))
+    assert max(times.values()) < 0.5, times
+    timed("reset", lambda: simulator.do(ResetSimulation))
+    assert times["reset"] < 5.0, times  # the equilibrium of 999 beads has to be found
+    assert process.stop() == 0
+
+
+def test_random_requests_are_answered_rightly_or_refused(tmp_path):
+    growth = request_fuzzer.run(tmp_path, 400, seed=20)
+    assert all(kib < 20 * 1024 for kib in growth.values()), growth
