@@ -13,7 +13,7 @@ from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from tss_interfaces.action import Sweep
-from tss_interfaces.msg import FloquetResult, SweepRow
+from tss_interfaces.msg import SweepRow
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 from tss_ros import parameters, translate
@@ -28,9 +28,10 @@ from tss_ros.core import (
     sweep,
 )
 from tss_ros.node_main import TssNode, run
+from tss_ros.topics import create_publisher, read_topics
 
-#: Results and feedback kept for slow subscribers.
-RESULTS_DEPTH = 100
+#: Feedback kept for slow clients.
+FEEDBACK_DEPTH = 100
 #: Feedback is published this often [s]: more often, clients would miss some.
 FEEDBACK_PERIOD_S = 0.05
 #: How often [s] a goal looks whether it is its turn.
@@ -53,9 +54,7 @@ class StabilityNode(TssNode):
         # Built once here so that a wrong system is refused at the start, not at the first request.
         self._build({})
         self._stopping = threading.Event()
-        self._results = self.create_publisher(
-            FloquetResult, "stability_results", QoSProfile(depth=RESULTS_DEPTH)
-        )
+        self._results = create_publisher(self, read_topics()["stability_results"])
         # A group of their own: while a request is worked on, others wait, but parameters do not.
         group = MutuallyExclusiveCallbackGroup()
         for kind, name, work in (
@@ -71,7 +70,7 @@ class StabilityNode(TssNode):
             "~/sweep",
             self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
-            feedback_pub_qos_profile=QoSProfile(depth=RESULTS_DEPTH),
+            feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
         )
         self.get_logger().info(f"ready for requests about {self._scenario}")
 

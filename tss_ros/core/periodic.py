@@ -104,10 +104,12 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
     motion = flow.begin(state, 2 * half)
     scale = np.repeat([flow.control.speed, flow.control.length], half)
     matrix = np.eye(2 * half)
+    # Steps between two looks at `cancelled`: large systems take a tenth of a second for one.
+    slice_ = min(50, max(2, 5000 // flow.system.n**2))
     period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     for segment in range(segments):
         seed_variations(motion, scale)
-        while not flow.advance(motion, period * (segment + 1) / segments, steps=50):
+        while not flow.advance(motion, period * (segment + 1) / segments, steps=slice_):
             _look(motion, period, cancelled)
             if (growth := np.max(np.abs(motion.x_v)) / flow.control.speed) > 1.0 / flow.rtol:
                 raise IntegrationError(
