@@ -198,6 +198,18 @@ def call(node, spin_until, service_type, name, request, timeout_s=60.0):
         node.destroy_client(client)
 
 
+def ask_until_answered(client, request):
+    """A condition that asks anew each second, and is true once there is an answer."""
+    begun, answers = time.monotonic(), []
+
+    def answered():
+        if time.monotonic() - begun > len(answers):
+            answers.append(client.call_async(request))
+        return any(answer.done() for answer in answers)
+
+    return answered
+
+
 def set_parameters(node, spin_until, target, **values):
     """Set parameters of a node in one go and return the answer; None takes one away."""
     given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
@@ -213,13 +225,14 @@ class Simulator:
     ----------
     node, spin_until
         As `client_node` gives them.
-    namespace : str
+    namespace, name : str
+        Of the simulator.
     """
 
-    def __init__(self, node, spin_until, namespace=""):
+    def __init__(self, node, spin_until, namespace="", name="sim_node"):
         self.node, self.spin_until = node, spin_until
         self.beads, self.events, self.status, self.descriptions, self.clocks = [], [], [], [], []
-        self._name, self._clients = f"{namespace}/sim_node", {}
+        self._name, self._clients = f"{namespace}/{name}", {}
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for kind, topic, kept, qos in (
             (BeadStates, "bead_states", self.beads, 1000),
@@ -239,11 +252,19 @@ class Simulator:
 
     def begin(self, kind, **fields):
         """Call the simulator's service of this type and return the future of its answer."""
+        if not self._clients:
+            # A node that has only just been found may not yet have found those who ask it.
+            found = self._client(GetSimulationState)
+            answered = ask_until_answered(found, GetSimulationState.Request())
+            self.spin_until(answered, START_S, "an answer")
+        return self._client(kind).call_async(kind.Request(**fields))
+
+    def _client(self, kind):
         if kind not in self._clients:
             snake = re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
             self._clients[kind] = self.node.create_client(kind, f"{self._name}/{snake}")
         self.spin_until(self._clients[kind].service_is_ready, START_S, kind.__name__)
-        return self._clients[kind].call_async(kind.Request(**fields))
+        return self._clients[kind]
 
     def do(self, kind, **fields):
         """Call a service and expect it to do what it is asked for."""

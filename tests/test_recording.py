@@ -18,7 +18,7 @@ from tss_ros.cdr import Layout, stamp_ns, step_number
 from tss_ros.core import TssError, initial_state, ring
 from tss_ros.recording import read_bag
 from tss_ros.topics import read_topics
-from tss_ros.translate import StepMessages, stamp, system_description
+from tss_ros.translate import StepMessages, simulation_event, stamp, system_description
 
 TOPICS = read_topics()
 NUMBERS = np.random.default_rng(3)
@@ -251,6 +251,7 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
         "markers": make.markers(time_ns, state.position_m, ones, ones > 0),
         "bead_cloud": make.bead_cloud(time_ns, state.position_m, state.velocity_m_s, ones),
         "tether_lengths": make.tether_lengths(time_ns, ones, ones),
+        "simulation_events": simulation_event(time_ns, 4, 0, "reset", "time", "orbit"),
     }
     for name, message in messages.items():
         data = bytes(serialize_message(message))

@@ -183,6 +183,9 @@ class LoggerNode(TssNode):
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
+            if self._incomplete and topic.newest_ns < self._incomplete[-1][0]:
+                # The simulator was reset or started anew: time cannot tell what is missing yet.
+                self._incomplete.clear()
             self._incomplete.append((topic.newest_ns, step_number(data)))
         # A topic may lag behind the others by seconds when the middleware repeats a message.
         newest = [t.newest_ns for t in self._topics if t.every_step]

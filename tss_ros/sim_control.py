@@ -17,7 +17,7 @@ RECORDER_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
 IDLE_S = 0.1
 #: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
-DRAIN_S, FINISH_S = 2.0, 10.0
+DRAIN_S, FINISH_S = 0.3, 10.0
 
 
 class State(enum.IntEnum):
