@@ -117,8 +117,12 @@ def heyoka(problem, tolerance):
 
         return hy.t_event(excess[k], callback=callback, cooldown=0.0)
 
-    equations = [(symbol[f"v{axis}{i}"], a[i][p]) for i in range(3) for p, axis in enumerate("xyz")]
-    equations += [(symbol[f"r{axis}{i}"], v[i][p]) for i in range(3) for p, axis in enumerate("xyz")]
+    equations = [
+        (symbol[f"{kind}{axis}{i}"], rate_of[i][p])
+        for kind, rate_of in (("v", a), ("r", v))
+        for i in range(3)
+        for p, axis in enumerate("xyz")
+    ]
     start = np.concatenate(
         [problem.start.velocity_m_s.ravel(), problem.start.position_m.ravel()]
     )

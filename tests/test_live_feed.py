@@ -54,8 +54,9 @@ def fed(monkeypatch):
     feed = live_feed.LiveFeed(Logger())
 
     def describe():
-        simulation = {"disturbance_m": 0.0, "disturbance_seed": 0, "publish_period_s": 1.0}
-        described = system_description(system, "three_star", -2.5, np.ones(3), simulation)
+        simulation = {"scenario": "three_star", "publish_period_s": 1.0}
+        simulation |= {"disturbance_m": 0.0, "disturbance_seed": 0}
+        described = system_description(system, -2.5, np.ones(3), simulation)
         feed.take("system_description", serialize_message(described))
 
     def publish(steps):

@@ -256,8 +256,9 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
     for name, message in messages.items():
         data = bytes(serialize_message(message))
         assert stamp_ns(data, TOPICS[name].stamp_offset) == time_ns, name
-    simulation = {"disturbance_m": 0.0, "disturbance_seed": 0, "publish_period_s": 1.0}
-    described = system_description(system, "three_star", -2.5, ones, simulation)
+    simulation = {"scenario": "three_star", "publish_period_s": 1.0}
+    simulation |= {"disturbance_m": 0.0, "disturbance_seed": 0}
+    described = system_description(system, -2.5, ones, simulation)
     assert stamp_ns(bytes(serialize_message(described)), 4) == 0
     recorded = {name for name, topic in TOPICS.items() if topic.recorded}
     assert recorded == {*messages, "system_description", "stability_results"}

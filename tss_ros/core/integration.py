@@ -11,14 +11,16 @@ from tss_ros.core.radau import add, error_estimate, newton_matrices, solve_stage
 from tss_ros.core.switching import first_switch, toggle
 from tss_ros.core.variations import vary
 
+#: Where Newton's iteration does not limit the step [s]; finite, so that it can be stored anywhere.
+ANY_STEP = 1e300
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 
-#: What `advance` carries from call to call. time (4,): now, next step size, start and size of the
-#: step `z` and `rise` describe. count (5,): accepted steps, rejected steps, Newton iterations,
-#: switches, sampled times. taut (m,). v, r (n,3): state now. v0, r0 (n,3), z, rise (s,n,3): start
-#: of the last step and the increments of velocity and position at its nodes. x_v, x_r (n,3,k):
-#: variations of velocity and position, k may be 0. dissipation (1,): integral of the trace of the
-#: damping matrix over time.
+#: What `advance` carries from call to call. time (5,): now, next step size, start and size of the
+#: step `z` and `rise` describe, largest step that Newton's iteration bears. count (5,): accepted
+#: steps, rejected steps, Newton iterations, switches, sampled times. taut (m,). v, r (n,3): state
+#: now. v0, r0 (n,3), z, rise (s,n,3): start of the last step and the increments of velocity and
+#: position at its nodes. x_v, x_r (n,3,k): variations of velocity and position, k may be 0.
+#: dissipation (1,): integral of the trace of the damping matrix over time.
 Motion = namedtuple("Motion", "time count taut v r v0 r0 z rise x_v x_r dissipation")
 
 
@@ -44,7 +46,7 @@ def begin(plant, tables, v, r, columns, first_step):
     stretch(plant, v, r, excess, growth)
     taut = (excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | plant.bilateral
     return Motion(
-        np.array([0.0, first_step, 0.0, 0.0]),
+        np.array([0.0, first_step, 0.0, 0.0, ANY_STEP]),
         np.zeros(5, dtype=np.int64),
         taut,
         np.array(v, dtype=float),
@@ -145,7 +147,7 @@ def advance(
     middle = s // 2
     trial_v, trial_r = np.empty((n, 3)), np.empty((n, 3))
     made, most_switches = 0, motion.count[3] + switches
-    grown, ceiling = True, np.inf
+    grown = True
     _sample(plant, tables, motion, times, out_v, out_r)
     while True:
         t = motion.time[0]
@@ -155,7 +157,7 @@ def advance(
             return PAUSED
         if motion.count[3] > most_switches:
             return TOO_MANY_SWITCHES
-        h = min(motion.time[1], control.longest, ceiling)
+        h = min(motion.time[1], control.longest, motion.time[4])
         last = t + 1.01 * h >= stop
         if last:
             h = stop - t
@@ -185,7 +187,7 @@ def advance(
             motion.count[1] += 1
             motion.time[1] = 0.4 * h
             # Newton's iteration, not the error, bounds the steps here: come near that size slowly.
-            grown, ceiling = False, 0.6 * h
+            grown, motion.time[4] = False, 0.6 * h
             continue
         acceleration(plant, motion.taut, t, v0, r0, f0)
         error = error_estimate(
@@ -270,12 +272,12 @@ def advance(
         add(motion.v.reshape(-1), 1.0, z[s - 1].reshape(-1))
         add(motion.r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
         motion.time[0] = stop if last else t + h
-        ceiling *= 1.2
+        motion.time[4] = min(1.2 * motion.time[4], ANY_STEP)
         if which >= 0 or not last:
             motion.time[1] = full * min(max(factor_of, 0.1), 8.0)
         if which >= 0:
             toggle(plant, motion, which, 1e-12 * plant.rest[which])
-            ceiling = np.inf
+            motion.time[4] = ANY_STEP
             motion.time[1] = min(motion.time[1], 0.2 * full)
             if motion.taut[which]:
                 i, j = plant.ends[which]
