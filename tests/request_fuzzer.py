@@ -155,7 +155,7 @@ class Fuzzer:
 
     def _disturb(self):
         pick = self._random.choice
-        numbers = [0.0, 0.0, 0.1, -5.0, 1e7, -1e300, math.nan, math.inf]
+        numbers = [0.0, 0.0, 0.1, -5.0, 1e9, -1e300, math.nan, math.inf]
         request = Disturb.Request(
             bead=pick(NAMES), random_offset_m=pick(numbers), seed=pick([0, 3, -1, 2**62])
         )

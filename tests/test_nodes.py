@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 import ros_harness
 from mcap.reader import make_reader
+from ros_harness import time_ns
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
+from tss_interfaces.msg import RecorderStatus
+from tss_interfaces.srv import ResetSimulation
 
 from tss_ros import recover
 
@@ -258,6 +261,49 @@ def test_clock_spares_its_followers(start):
         seconds = [stamp.sec + stamp.nanosec * 1e-9 for _, stamp in arrivals]
         assert seconds == sorted(seconds)
     assert simulator.stop() == 0
+
+
+def reset_a_few_times(simulator):
+    """Let it begin anew in every way while it is recorded; return the last step, once written."""
+    written = []
+    simulator.node.create_subscription(
+        RecorderStatus, "/recorder_status", lambda m: written.append(m.last_step), 10
+    )
+    simulator.wait_for_step(200)
+    simulator.do(ResetSimulation)
+    simulator.wait_for_step(simulator.beads[-1].step + 200)
+    assert simulator.set(satellites=4).successful
+    simulator.do(ResetSimulation)
+    simulator.wait_for_step(simulator.beads[-1].step + 200)
+    simulator.do(ResetSimulation, scope=ResetSimulation.Request.SCOPE_TIME)
+    begun = time.monotonic()
+    simulator.wait_for_step(simulator.beads[-1].step + 500)
+    assert time.monotonic() - begun < 15  # nothing holds the simulator back afterwards
+    simulator.pause()
+    last = simulator.settled().step
+    simulator.spin_until(lambda: written and written[-1] == last, 20, "the recorder to have all")
+    return last
+
+
+def test_a_recording_survives_time_going_back(start, tmp_path):
+    """Every step of every run is in the bag, and each run is described."""
+    process = start("sim_node", time_scale=800, wait_for_recorder=True, publish_period_s=2)
+    logger = start("logger_node", output="bag")
+    with ros_harness.client_node() as client:
+        last = reset_a_few_times(ros_harness.Simulator(*client))
+    assert process.stop() == 0 and logger.stop(signal.SIGINT) == 0
+    assert " 0 lost" in logger.stdout
+    messages = read_with_rosbags(tmp_path / "bag")
+    for topic in ("/bead_states", "/tether_states"):
+        assert sorted(m.step for _, m in messages[topic]) == list(range(last + 1))
+        assert all(t == time_ns(m.header.stamp) for t, m in messages[topic])
+    described = sorted(
+        (m.run, m.first_step, len(m.bead_name)) for _, m in messages["/system_description"]
+    )
+    assert [(run, beads) for run, _, beads in described] == [(0, 3), (1, 3), (2, 4), (3, 4)]
+    firsts = {m.step: t for t, m in messages["/bead_states"]}
+    assert all(firsts[first_step] == 0 for _, first_step, _ in described)
+    assert [m.kind for _, m in messages["/simulation_events"]] == ["reset"] * 3
 
 
 # --- stopping

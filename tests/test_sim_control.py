@@ -1,15 +1,11 @@
 """Control of a running simulator over the middleware: state, steps, resets, disturbances, time."""
 
-import signal
-import time
-
 import numpy as np
 import pytest
 import ros_harness
 from rclpy.parameter import Parameter
 from ros_harness import motion, time_ns
-from rosbags.highlevel import AnyReader
-from tss_interfaces.msg import RecorderStatus, Result, SimulationState
+from tss_interfaces.msg import Result, SimulationState
 from tss_interfaces.srv import (
     Disturb,
     GetSimulationState,
@@ -382,43 +378,3 @@ def test_time_scale_changes_at_once_and_is_reached(paused):
     assert 0 < paused.status[-1].step_cost_s < 0.1
     paused.pause()
     assert factor() == 0.0
-
-
-def test_a_recording_survives_time_going_back(started):
-    """Every step of every run is in the bag, and each run is described."""
-    process, simulator = started(time_scale=800, wait_for_recorder=True)
-    logger = simulator.start("logger_node", output="bag")
-    written = []
-    simulator.node.create_subscription(
-        RecorderStatus, "/own/recorder_status", lambda m: written.append(m.last_step), 10
-    )
-    simulator.wait_for_step(200)
-    simulator.do(ResetSimulation)
-    simulator.wait_for_step(simulator.beads[-1].step + 200)
-    assert simulator.set(satellites=4).successful
-    simulator.do(ResetSimulation)
-    simulator.wait_for_step(simulator.beads[-1].step + 200)
-    simulator.do(ResetSimulation, scope=TIME)
-    begun = time.monotonic()
-    simulator.wait_for_step(simulator.beads[-1].step + 500)
-    assert time.monotonic() - begun < 15  # nothing holds the simulator back afterwards
-    simulator.pause()
-    last = simulator.settled().step
-    simulator.spin_until(lambda: written and written[-1] == last, 20, "the recorder to have all")
-    assert process.stop() == 0 and logger.stop(signal.SIGINT) == 0
-    assert " 0 lost" in logger.stdout
-    messages = {}
-    with AnyReader([logger.directory / "bag"]) as reader:
-        for connection, log_time_ns, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
-            messages.setdefault(connection.topic, []).append((log_time_ns, message))
-    for topic in ("/own/bead_states", "/own/tether_states"):
-        assert sorted(m.step for _, m in messages[topic]) == list(range(last + 1))
-        assert all(t == time_ns(m.header.stamp) for t, m in messages[topic])
-    described = sorted(
-        (m.run, m.first_step, len(m.bead_name)) for _, m in messages["/own/system_description"]
-    )
-    assert [(run, beads) for run, _, beads in described] == [(0, 3), (1, 3), (2, 4), (3, 4)]
-    firsts = {m.step: t for t, m in messages["/own/bead_states"]}
-    assert all(firsts[first_step] == 0 for _, first_step, _ in described)
-    assert [m.kind for _, m in messages["/own/simulation_events"]] == ["reset"] * 3
