@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from tss_ros.core import TssError
+from tss_ros.core import TssError, deviation
 
 #: Small chunks and frequent flushes bound what a killed recorder loses.
 CHUNK_BYTES = 256 * 1024
@@ -262,6 +262,12 @@ class Recording:
     def turns(self):
         """Simulation time in spin turns [-], shape (k,)."""
         return self.t_s * abs(self.spin_rate_ratio) * self.orbit_rate_rad_s / (2.0 * math.pi)
+
+    @property
+    def deviation_from_centre(self):
+        """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
+        centre_m = np.average(self.position_m, axis=1, weights=self.mass_kg)
+        return deviation(self.position_m - centre_m[:, None], self.reference_radius_m)
 
 
 _DESCRIBED_ARRAYS = (
