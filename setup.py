@@ -4,7 +4,15 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-EXECUTABLES = ("sim_node", "stability_node", "logger_node", "stability", "review", "demo")
+EXECUTABLES = (
+    "sim_node",
+    "stability_node",
+    "logger_node",
+    "stability",
+    "review",
+    "demo",
+    "reproduce",
+)
 
 setup(
     name="tss_ros",
@@ -33,6 +41,7 @@ setup(
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",
         "matplotlib>=3.8.4",
+        "markdown-it-py>=3.0",
         "rerun-sdk>=0.39",
     ],
     extras_require={

@@ -109,7 +109,7 @@ class Nodes:
 class Watch:
     """Looks after running nodes: call it several times a second while waiting for something.
 
-    Attributes `heard` tells whether the recorder has reported, `last_step` and `messages` what.
+    Attributes `last_step` and `messages` tell what the recorder has reported.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class Watch:
 
     def __init__(self, nodes, ros_node, caught, show):
         self._nodes, self._caught, self._show = nodes, caught, show
-        self.heard, self.last_step, self.messages = False, 0, 0
+        self.last_step, self.messages = 0, 0
         self._done, self._state = 0, None
         self._changed = time.monotonic()
         qos = read_topics()["recorder_status"].qos
@@ -152,7 +152,6 @@ class Watch:
             raise TssError(f"nothing was recorded or computed for {STALL_S:g} s")
 
     def _on_status(self, status):
-        self.heard = True
         if status.messages:
             self.last_step, self.messages = max(0, status.last_step), status.messages
 
@@ -196,9 +195,6 @@ def record(nodes, ros_node, watch, bag, meanwhile=None, **simulator):
         If a node fails or messages were lost.
     """
     nodes.start("logger_node", output=str(bag))
-    while not watch.heard:  # else the first turns would go by unseen
-        rclpy.spin_once(ros_node, timeout_sec=0.1)
-        watch()
     nodes.start("sim_node", time_scale=0.0, wait_for_recorder=True, **simulator)
     if meanwhile:
         meanwhile()
