@@ -112,7 +112,7 @@ def test_the_damping_identified_yields_the_claimed_rates():
         edge = claims.slack_edge(damping, claims.system(name, damping))
         assert edge == pytest.approx(claims.CRITICAL[name], abs=2e-3)
     edges = claims.simulated_edges(
-        "three_star", found["three_star"]["damping"], lambda: False, disturbance_m=0.1
+        "three_star", found["three_star"]["damping"], lambda: False, 0.1, ("settled",)
     )
     assert edges["settled"] == pytest.approx(-2.17, abs=0.02)
 
@@ -146,11 +146,11 @@ def made_up(item):
     kind, _, name = item.partition(" ")
     if kind == "motion":
         held = claims.MOTIONS[name].rate < -2.17
-        swing = {"length_last": 1e-5, "kink_last_deg": 3.0}
+        swing = {"length_last": 1e-5, "kink_last_deg": 3.0, "settled_share": 1.0}
         return {
             "frozen": 1.003, "frozen_verdict": "neutral", "verdict": "neutral", "nontrivial": 1.0,
             "closure": 1e-5, "held": held, "settle": 0.25, "from_centre": 0.01, "from_origin": 0.02,
-            "recorded": 0.01, "oscillation": swing,
+            "recorded": 0.01, "lost_after": None if held else 2.0, "oscillation": swing,
         }
     simulated = {"settled": -2.16, "held": -2.14, "origin": -2.14}
     return {
@@ -163,7 +163,7 @@ def made_up(item):
         },
         "scan": [{"damping": 1451.0, "simulated": simulated}],
         "six": [[1451.0, [[-2.82, "no periodic motion", -1]], -2.8]],
-        "fates": {motion: [[1.0, False, 9.0], [1451.0, True, 1.0]] for motion, *_ in claims.FATES},
+        "fates": {"figure_10_2.5": [[1.0, False, 9.0], [1451.0, True, 1.0]]},
     }[kind]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from scipy.integrate import odeint
 
-from tss_ros.claims import DISTURBANCE_M, SEED, bisect, system
+from tss_ros.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 from tss_ros.core import Cancelled, disturbed, initial_state
 from tss_ros.core.system import MU_EARTH, RADIUS_EARTH_M
 
@@ -28,7 +28,7 @@ def held_edges(names, damping, tolerances, cancelled):
         for rtol in tolerances:
 
             def held(rate, of=of, rtol=rtol):
-                return largest_deviation(of, rate, rtol, cancelled) < 0.2
+                return largest_deviation(of, rate, rtol, cancelled) < LOST
 
             rows.append([name, rtol, bisect(held, -2.0, -2.9, 0.025)])
     return rows

@@ -4,6 +4,8 @@ Panels are laid out as in the paper; the caller saves the figures. Clockwise rat
 their size, |w| = |omega| / Omega, as the paper's axes do.
 """
 
+import itertools
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -76,6 +78,13 @@ def formation(recordings):
         _space(space, recording)
         _top(top, recording)
         _deviation(deviation, recording, recording.deviation, "from the origin, Eq. (53) [%]")
+        deviation.plot(
+            recording.turns, 100 * recording.deviation_from_centre, color=INK, linewidth=0.9,
+        )
+        deviation.annotate(
+            "black: from the centre of mass", (0.02, 0.97), xycoords="axes fraction", fontsize=8,
+            va="top",
+        )
         for axes, letter in zip((space, top, deviation), letters):
             axes.set_title(f"({letter}) |ω| = {abs(recording.spin_rate_ratio):g} Ω", fontsize=10)
     legend_below(figure, top, columns=6)
@@ -104,8 +113,10 @@ def distances_and_lengths(recordings):
         _deviation(left, recording, recording.deviation_from_centre, "from the centre of mass [%]")
         for j in range(recording.length_m.shape[1]):
             strain = 100 * (recording.length_m[:, j] / recording.rest_length_m[j] - 1)
-            right.plot(recording.turns, strain, **series_style(j), linewidth=0.8)
+            name = recording.tether_name[j]
+            right.plot(recording.turns, strain, **series_style(j), linewidth=0.8, label=name)
         finish(right, TURNS, "relative deviation of\ntether length, l/L − 1 [%]")
+        right.legend(fontsize=7, ncols=2, loc="best", frameon=False)
         for axes, letter in zip((left, right), letters):
             axes.set_title(f"({letter}) |ω| = {abs(recording.spin_rate_ratio):g} Ω", fontsize=10)
     legend_below(figure, grid[0, 0], columns=6)
@@ -131,10 +142,11 @@ def multipliers(curves):
             _multipliers(axes, rows, claimed, found)
             axes.set_title(f"({letter}) {title}", fontsize=10)
         near.set_xlim(abs(claimed) - 0.125, abs(claimed) + 0.125)
-        inside = [r for r in rows if abs(r["rate"] - claimed) < 0.125]
-        high = max(max(r["nontrivial"], r["shape"], r["frozen"]) for r in inside)
-        low = min(r["shape"] for r in inside)
-        near.set_ylim(min(0.9, 0.8 * max(low, 1e-3)), max(1.1, 1.3 * high))
+        inside = [r["nontrivial"] for r in rows if abs(r["rate"] - claimed) < 0.125]
+        if max(inside) < 10:
+            near.set_yscale("linear")
+            near.set_ylim(0.99, max(1.01, 1.05 * max(inside)))
+            near.ticklabel_format(axis="y", useOffset=False)
     legend_below(figure, grid[0, 0], columns=3)
     return figure
 
@@ -217,20 +229,21 @@ def _multipliers(axes, rows, claimed, found):
     finish(axes, SPIN_RATE, "multiplier modulus |ρ| [-]")
 
 
-def _labelled(recording):
-    """Index and label of the beads that have their own curve: one label for all tether beads."""
-    first_bead = int(np.argmin(recording.is_satellite))
+def _curves(recording):
+    """Index, label and style of every bead; tether beads look alike and share one label."""
+    satellites = itertools.count()
+    label = "tether beads"
     for i, name in enumerate(recording.bead_name):
         if recording.is_satellite[i]:
-            yield i, name
+            yield i, name, series_style(next(satellites))
         else:
-            yield i, "tether beads" if i == first_bead else None
+            yield i, label, {"color": "0.6", "linestyle": (0, (4, 1, 1, 1)), "zorder": 1}
+            label = None
 
 
 def _space(axes, recording):
     position_km = recording.position_m / 1e3
-    for i, label in _labelled(recording):
-        style = series_style(i)
+    for i, label, style in _curves(recording):
         axes.plot(*position_km[:, i].T, **style, linewidth=0.6, label=label)
     for step, face in ((0, "white"), (-1, INK)):
         for a, b in recording.tether_ends:
@@ -242,7 +255,7 @@ def _space(axes, recording):
     reach = 1.05 * np.abs(position_km).max()
     height = max(1.05 * np.abs(position_km[..., 2]).max(), 0.2 * reach)
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-height, height))
-    axes.set_box_aspect((1, 1, max(height / reach, 0.35)))
+    axes.set_box_aspect((1, 1, max(height / reach, 0.35)), zoom=0.88)
     axes.view_init(elev=35, azim=-60)
     axes.set_xlabel("x [km]", labelpad=2)
     axes.set_ylabel("y, up [km]", labelpad=2)
@@ -252,8 +265,8 @@ def _space(axes, recording):
 
 def _top(axes, recording):
     x_km, y_km = recording.position_m[..., 0] / 1e3, recording.position_m[..., 1] / 1e3
-    for i, label in _labelled(recording):
-        axes.plot(x_km[:, i], y_km[:, i], **series_style(i), linewidth=0.7, label=label)
+    for i, label, style in _curves(recording):
+        axes.plot(x_km[:, i], y_km[:, i], **style, linewidth=0.7, label=label)
     for step, face, name in ((0, "white", "start (open)"), (-1, INK, "end (filled)")):
         for k, (a, b) in enumerate(recording.tether_ends):
             axes.plot(
@@ -269,8 +282,7 @@ def _top(axes, recording):
 
 
 def _deviation(axes, recording, values, what):
-    for i, label in _labelled(recording):
-        style = series_style(i)
+    for i, label, style in _curves(recording):
         axes.plot(recording.turns, 100 * values[:, i], **style, linewidth=0.8, label=label)
     axes.axhline(0, color=INK, linewidth=0.6, zorder=1)
     axes.margins(x=0.01)

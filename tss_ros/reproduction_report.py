@@ -73,7 +73,7 @@ def markdown(result, damping):
         "## Six beads",
         _six_beads(result, damping),
         "## Table 1 and the figures",
-        *(_picture(name, paper, seen) for name, paper, seen in PICTURES),
+        *(_picture(*picture) for picture in PICTURES),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -223,22 +223,26 @@ def _six_beads(result, damping):
         o = result(f"motion {motion}")["oscillation"]
         peaks = ", ".join(f"{f:.2f} ({a:.2f}°)" for f, a in o["peaks"])
         swing.append(
-            (rate(claims.MOTIONS[motion].rate), "held" if o["held"] else "lost",
-             percent(o["length_first"]), percent(o["length_last"]),
+            (rate(claims.MOTIONS[motion].rate),
+             "held" if result(f"motion {motion}")["held"] else "lost",
+             percent(o["settled_share"]), percent(o["length_first"]), percent(o["length_last"]),
              f"{o['kink_first_deg']:.2f}", f"{o['kink_last_deg']:.2f}", peaks)
         )
     return "\n\n".join(
         [
-            "Where the 6-bead ring is lost does not depend on the damping: a tether in two halves"
-            " can shorten its chord by kinking at its bead, without either half getting shorter.",
+            "Where the 6-bead ring is lost hardly depends on the damping. (A tether in two halves"
+            " can shorten its chord by kinking at its bead without either half getting shorter.) Its"
+            " slowest stable range is narrow; faster than it lies a band of unstable or missing"
+            " periodic motion, then it is stable again.",
             _table(("C [N s/m]", "critical by monodromy", "held beyond, simulated",
-                    "all boundaries from 3.2 to 2.0"), rows),
-            "From the recordings, 12 turns: largest |l/L - 1| in the first and the last turn, and"
-            " the kink at the tether beads (180° less the angle between the halves): peak to peak"
+                    "all boundaries from 3.5 to 2.0"), rows),
+            "From the recordings, 12 turns: part of the last 4 turns in which all lengths are"
+            " within 0.1 % of L, largest |l/L - 1| in the first and the last turn, and the kink of"
+            " a tether at its bead (in the orbital plane, 0 where it is straight): peak to peak"
             " in the third and the last turn, and its strongest spectral lines in cycles per turn"
             " (amplitude).",
-            _table(("rate", "", "lengths, first", "last", "kink, third [°]", "last [°]",
-                    "lines [1/turn]"), swing),
+            _table(("rate", "", "lengths within 0.1 %", "lengths, first", "last",
+                    "kink, third [°]", "last [°]", "lines [1/turn]"), swing),
             "![Six beads at 2.9](six_bead_2.9.png)",
             "*Six beads at 2.9, where they hold: the lengths settle at once to the small periodic"
             " variation that the gravity gradient forces, the distances keep oscillating.*",
@@ -246,8 +250,8 @@ def _six_beads(result, damping):
     )
 
 
-def _picture(name, paper, seen):
-    return f"### {paper[0]}\n\n![{paper[0]}]({name}.png)\n\n*Paper:* {paper[1]}\n\n*Here:* {seen}"
+def _picture(name, title, paper, seen):
+    return f"### {title}\n\n![{title}]({name}.png)\n\n*Paper:* {paper}\n\n*Here:* {seen}"
 
 
 def _table(heading, rows):

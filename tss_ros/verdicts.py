@@ -85,7 +85,8 @@ def _fate_row(result, damping, motion, held, words, where):
         fitting = [c for c, was_held, _ in result("fates")[motion] if was_held == held]
         tried = [c for c, _, _ in result("fates")[motion]]
         if fitting:
-            verdict = f"reproduced at C = {', '.join(f'{c:g}' for c in fitting)} only"
+            shown = ", ".join(f"{c:g}" for c in fitting)
+            verdict = f"reproduced at C = {shown} only, of {min(tried):g} to {max(tried):g} tried"
         else:
             fate = "held" if seen["held"] else "lost"
             verdict = f"not reproduced: {fate} at every C tried, {min(tried):g} to {max(tried):g}"
@@ -98,12 +99,13 @@ def _fate_row(result, damping, motion, held, words, where):
 
 def _undisturbed_row(result, damping, motion):
     seen, of = result(f"motion {motion}"), claims.MOTIONS[motion]
-    kept = seen["recorded"] < 0.2
+    kept = seen["lost_after"] is None
     return (
         claims.TITLES[of.scenario], f"undisturbed start keeps its shape at {rate(of.rate)}",
         UNDISTURBED[motion], f"{seen['frozen_verdict']}, max |ρ| {seen['frozen']:.4f}",
         _true_verdict(seen),
-        f"{'kept' if kept else 'lost'}: distances from the centre of mass change by up to"
+        f"{'kept' if kept else 'lost after ' + format(seen['lost_after'], '.1f') + ' turns'}:"
+        f" distances from the centre of mass change by up to"
         f" {percent(seen['recorded'])} in {of.turns} turns",
         f"{damping:g}",
         f"reproduced at C = {damping:g}" if kept else
@@ -119,12 +121,13 @@ def _oscillation_row(result, damping):
         "Fig. 15c-d", "says nothing of it",
         f"{_true_verdict(result('motion figure_14_2.2'))} at 2.2;"
         f" {_true_verdict(result('motion six_bead_2.9'))} at 2.9",
-        f"at 2.2 lost (lengths off by {percent(at_claim['length_last'])} in the last turn); at 2.9"
-        f" lengths within {at_held['length_last']:.1e}, kink swings by"
+        f"at 2.2 lengths within 0.1 % for {percent(at_claim['settled_share'])} of the last 4 turns,"
+        f" off by {percent(at_claim['length_last'])} in slack moments, ring crumpled; at 2.9 within"
+        f" {percent(at_held['length_last'])} for good, kink swings by"
         f" {at_held['kink_last_deg']:.1f}° peak to peak",
         f"{damping:g}",
-        "not reproduced at 2.2: the motion is lost; reproduced at 2.9: lengths settle, the shape"
-        " keeps swinging",
+        "not reproduced: at 2.2 lengths settle but for slack moments, and the shape is lost, not"
+        " oscillating about the ring; at 2.9, where it holds, both parts of the claim are seen",
     )
 
 
@@ -138,8 +141,9 @@ def _trend_row(result, damping):
 
 
 def critical(boundaries):
-    """The rate, of `claims.boundaries`, up to which a fast spin slows before something is lost."""
-    return min((rate for rate, _, side in boundaries if side < 0), default=None)
+    """The rate, of `claims.boundaries`, down to which the slowest stable range reaches."""
+    last = max((i for i, (_, _, side) in enumerate(boundaries) if side > 0), default=-1)
+    return min((rate for rate, _, side in boundaries[last + 1 :] if side < 0), default=None)
 
 
 def _true_verdict(seen):
@@ -150,7 +154,7 @@ def _true_verdict(seen):
 
 
 def _outcome(seen):
-    fate = "held" if seen["held"] else "lost"
+    fate = "held" if seen["held"] else f"lost after {seen['lost_after']:.1f} turns"
     if seen["held"]:
         fate += (
             f", settled after {seen['settle']:.2f} turns"
@@ -165,7 +169,10 @@ def _outcome(seen):
 
 def rate(value):
     """A clockwise rate by its size, a dash for none."""
-    return "–" if value is None else f"{abs(value):.3f}".rstrip("0").rstrip(".")
+    if value is None:
+        return "–"
+    text = f"{abs(value):.3f}".rstrip("0")
+    return text + "0" if text.endswith(".") else text
 
 
 def percent(fraction):
