@@ -21,11 +21,15 @@ from tss_ros.plots import (
 )
 
 SPIN_RATE = "clockwise spin rate |ω|/Ω [-]"
+#: Room beside views in space, whose vertical label the layout does not see.
+BESIDE_SPACE = 0.12
 TURNS = "turns of the formation [-]"
 
 
-def _figure(width, height):
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+def _figure(width, height, wspace=0.02):
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    figure.get_layout_engine().set(wspace=wspace)
+    return figure
 
 
 def table(rows):
@@ -69,7 +73,7 @@ def deviations(recordings):
 
 def formation(recordings):
     """Figs. 10, 11: for each motion its paths in space, the top view and the deviation."""
-    figure = _figure(13.0, 4.3 * len(recordings) + 0.4)
+    figure = _figure(13.0, 4.3 * len(recordings) + 0.4, BESIDE_SPACE)
     for row, recording in enumerate(recordings):
         place = [(len(recordings), 3, 3 * row + column + 1) for column in range(3)]
         letters = "abcdef"[3 * row : 3 * row + 3]
@@ -93,7 +97,7 @@ def formation(recordings):
 
 def views(recordings):
     """Fig. 14: for each motion its paths in space and the top view."""
-    figure = _figure(10.0, 4.6 * len(recordings) + 0.4)
+    figure = _figure(10.0, 4.6 * len(recordings) + 0.4, BESIDE_SPACE)
     for row, recording in enumerate(recordings):
         space = figure.add_subplot(len(recordings), 2, 2 * row + 1, projection="3d")
         top = figure.add_subplot(len(recordings), 2, 2 * row + 2)
@@ -145,7 +149,8 @@ def multipliers(curves):
         inside = [r["nontrivial"] for r in rows if abs(r["rate"] - claimed) < 0.125]
         if max(inside) < 10:
             near.set_yscale("linear")
-            near.set_ylim(0.99, max(1.01, 1.05 * max(inside)))
+            top = max(1.01, 1.05 * max(inside))
+            near.set_ylim(1.0 - 0.05 * (top - 1.0), top)
             near.ticklabel_format(axis="y", useOffset=False)
     legend_below(figure, grid[0, 0], columns=3)
     return figure
@@ -237,7 +242,7 @@ def _curves(recording):
         if recording.is_satellite[i]:
             yield i, name, series_style(next(satellites))
         else:
-            yield i, label, {"color": "0.6", "linestyle": (0, (4, 1, 1, 1)), "zorder": 1}
+            yield i, label, {"color": "0.65", "linestyle": "-", "zorder": 1}
             label = None
 
 

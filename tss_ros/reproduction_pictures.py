@@ -25,14 +25,16 @@ PICTURES = (
         "figure_05",
         "Fig. 5",
         "The multipliers leave the unit circle when the rate falls below about 2.17.",
-        "The true multipliers do so a little below 2.17, where tethers go slack; further down no"
-        " motion closes any more. The frozen curve lies at 1.00 throughout and marks nothing.",
+        "Tethers first go slack at 2.17; a little below, at 2.14, the motion is unstable, and from"
+        " 2.11 down none closes any more. The frozen curve lies at 1.00 throughout and marks"
+        " nothing.",
     ),
     (
         "figure_06",
         "Fig. 6",
         "At 2.0 the disturbed configuration cannot be held.",
-        "The satellites leave the circle after two turns and two of them end side by side: as"
+        "The satellites leave the circle after two turns; then the triangle no longer spins, but"
+        " satellite 2 swings about the upper end of the vertical, 1 and 3 about the lower: as"
         " described.",
     ),
     (
@@ -47,14 +49,15 @@ PICTURES = (
         "Fig. 8",
         "The deviation is not attenuated at 2.0 and decays to 0 at 2.5.",
         "At 2.0 both measures grow beyond 40 %. At 2.5 the one from the centre of mass decays"
-        " within half a turn to the ripple that the gravity gradient forces; the one from the origin"
-        " (53) does not decay but grows to 5 %, because a displaced centre of mass drifts.",
+        " within half a turn to the ripple that the gravity gradient forces; the one from the"
+        " origin (53) does not decay but grows to 5 %, because a displaced centre of mass drifts.",
     ),
     (
         "figure_09",
         "Fig. 9",
         "The critical rate is 2.79 at 50 kg and 2.07 at 1000 kg.",
-        "Both masses turn unstable at 2.17, like 100 kg: around 2.79 the light ring shows nothing,"
+        "Both masses first go slack at 2.17 and lose their periodic motion a little below, like"
+        " 100 kg: around 2.79 the light ring shows nothing,"
         " at 2.07 the heavy one has no closing motion. 2.07 would need more damping.",
     ),
     (

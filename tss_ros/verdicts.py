@@ -46,31 +46,32 @@ def _critical_row(result, damping, name, claimed):
     whole = [row["frozen"] for row in result(f"curve {name}")]
     if name == "six_bead":
         edge = next(held for c, _, held in result("six beads") if c == damping)
-        simulated = f"held beyond {rate(edge)}"
+        simulated = f"held beyond {found_rate(edge)}"
         other = None
     else:
         scan = next(row for row in result(f"scan {name}") if row["damping"] == damping)
         edges = scan["simulated"]
-        simulated = f"settles beyond {rate(edges['settled'])}, held beyond {rate(edges['held'])}"
+        settled, held = found_rate(edges["settled"]), found_rate(edges["held"])
+        simulated = f"settles beyond {settled}, held beyond {held}"
         other = result("damping")[name]["damping"]
     if abs(found - claimed) <= claims.AGREES:
         verdict = f"reproduced at C = {damping:g}"
     elif other:
         verdict = f"reproduced at C = {other:g}, not at the C of Table 1"
     elif name == "six_bead":
-        rates = ", ".join(rate(critical(b)) for _, b, _ in result("six beads"))
+        rates = ", ".join(found_rate(critical(b)) for _, b, _ in result("six beads"))
         tried = ", ".join(f"{c:g}" for c, _, _ in result("six beads"))
         verdict = f"not reproduced: {rates} at C = {tried}"
     else:
         verdict = (
-            "not reproduced: faster than 2.58 no tether of this model goes slack and no mode is"
-            " lost, whatever C (below)"
+            "not reproduced: a rigid triangle never goes slack beyond 2.58, whatever C, and no C"
+            " tried loses anything beyond 2.62 (below)"
         )
     return (
         claims.TITLES[name], f"critical rate {rate(claimed)}", WHERE[name],
         f"none: max |ρ| {min(whole):.4f} to {max(whole):.4f}, without centre of mass and spin"
         f" at most {max(frozen):.6f}, for all rates 1.2 to 3.5",
-        f"{rate(found)}", simulated, f"{damping:g}", verdict,
+        found_rate(found), simulated, f"{damping:g}", verdict,
     )
 
 
@@ -132,7 +133,7 @@ def _oscillation_row(result, damping):
 
 
 def _trend_row(result, damping):
-    found = [rate(critical(result(f"boundaries {name}"))) for name in claims.STARS]
+    found = [found_rate(critical(result(f"boundaries {name}"))) for name in claims.STARS]
     return (
         "3-star", "critical rate falls with mass: 2.79, 2.17, 2.07 at 50, 100, 1000 kg", "Fig. 9",
         "none at any mass", ", ".join(found), "the same at every mass within 0.02 (below)",
@@ -168,13 +169,15 @@ def _outcome(seen):
 
 
 def rate(value):
-    """A clockwise rate by its size, a dash for none."""
-    if value is None:
-        return "–"
-    text = f"{abs(value):.3f}".rstrip("0")
-    return text + "0" if text.endswith(".") else text
+    """A clockwise rate that was given, by its size."""
+    return str(abs(value))
+
+
+def found_rate(value):
+    """A clockwise rate that was found, by its size; a dash for none."""
+    return "–" if value is None else f"{abs(value):.3f}"
 
 
 def percent(fraction):
-    """Two digits and a sign."""
-    return f"{100 * fraction:.2g} %"
+    """Two digits or more, and a sign."""
+    return f"{100 * fraction:{'.0f' if fraction > 0.1 else '.2g'}} %"
