@@ -1,10 +1,11 @@
 # Everything this makes stays in the checkout: .venv, build, install, log and runs.
 # PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest.
-.PHONY: help setup demo test lock clean
+.PHONY: help setup demo reproduce test lock clean
 export PYTHON
 
 help:
 	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
+	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
 	@echo 'make test    run every test'
 	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
 	@echo 'make lock    resolve the lock files in requirements/ anew (needs uv)'
@@ -15,6 +16,9 @@ setup:
 
 demo: setup
 	@. ./activate && exec ros2 run tss_ros demo
+
+reproduce: setup
+	@. ./activate && exec ros2 run tss_ros reproduce
 
 test: setup
 	@. ./activate && exec python -m pytest $(PYTEST)

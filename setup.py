@@ -5,7 +5,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 EXECUTABLES = (
-    *("sim_node", "stability_node", "logger_node", "stability", "sweep", "demo"),
+    *("sim_node", "stability_node", "logger_node", "stability", "sweep", "demo", "reproduce"),
     *("review", "recover", "play"),
 )
 #: All three in tss_ros.bag_commands.
@@ -46,6 +46,7 @@ setup(
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",
         "matplotlib>=3.8.4",
+        "markdown-it-py>=3.0",
         "pillow>=10",
         "pyarrow>=18",
         "rerun-sdk>=0.39",
@@ -54,6 +55,7 @@ setup(
         # what `make` needs besides: tests and checks, then colcon
         "dev": [
             "pytest>=8",
+            "pytest-xdist>=3.6",
             "hypothesis>=6.100",
             "rosbags>=0.11",
             "import-linter>=2.15",

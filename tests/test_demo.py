@@ -13,6 +13,8 @@ from ros_harness import START_S, STOP_S, Process, client_node, processes, wait_u
 
 from tss_ros import demo, stability
 from tss_ros.core import TssError
+from tss_ros.processes import STOP_S as NODE_STOP_S
+from tss_ros.processes import Nodes
 from tss_ros.recording import read_bag
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -205,7 +207,7 @@ def test_demo_leaves_everything_it_promises(run_demo, tmp_path):
     process = start()
     wait_until(lambda: "turn " in process.stdout, START_S, "the first turn")
     process.send(signal.SIGINT)
-    assert process.wait(demo.STOP_S + STOP_S) == 130
+    assert process.wait(NODE_STOP_S + STOP_S) == 130
     assert survivors() == []
     assert {path: path.stat().st_mtime_ns for path in output.rglob("*")} == before
     assert [path.name for path in output.parent.iterdir()] == ["demo"]
@@ -224,7 +226,7 @@ def test_demo_replaces_only_what_a_demo_wrote(tmp_path):
 
 
 def test_a_node_that_fails_is_named_with_its_last_lines(tmp_path):
-    with demo.Nodes(tmp_path) as nodes:
+    with Nodes(tmp_path) as nodes:
         nodes.start("stability_node", satellite_mass_kg=-1.0)
         reason = "(?s)stability_node ended with status 1.*satellite_mass_kg"
         with pytest.raises(TssError, match=reason):

@@ -12,7 +12,7 @@ import pyarrow.parquet
 import yaml
 
 from tss_ros import plots
-from tss_ros.core import TssError, deviation
+from tss_ros.core import TssError
 from tss_ros.recording import read_bag
 from tss_ros.scenario import read_text
 
@@ -48,7 +48,7 @@ def describe(recording):
     """
     r, turns = recording, recording.turns
     gaps = int((np.diff(r.step) - 1).sum())
-    from_centre = np.abs(from_centre_of_mass(r)).max(axis=1)
+    from_centre = np.abs(r.deviation_from_centre).max(axis=1)
     worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
     slack = ~r.taut
     energy, centre_m = r.energy_j, r.centre_of_mass_m
@@ -83,12 +83,6 @@ def describe(recording):
     return "\n".join(lines)
 
 
-def from_centre_of_mass(recording):
-    """Eq. (53) measured from the instantaneous centre of mass, shape (k, n)."""
-    centre_m = recording.centre_of_mass_m
-    return deviation(recording.position_m - centre_m[:, None], recording.reference_radius_m)
-
-
 def _run(name, description, argv, act, add_options=lambda parser: None):
     parser = argparse.ArgumentParser(prog=name, description=description)
     parser.add_argument("bag", type=Path, help="bag directory or .mcap file")
@@ -120,7 +114,7 @@ def _plot(r, options):
         "trajectories": plots.trajectories(
             r.position_m, r.tether_ends, r.bead_name, r.is_satellite
         ),
-        "deviation": plots.deviation(r.turns, r.deviation, r.bead_name, from_centre_of_mass(r)),
+        "deviation": plots.deviation(r.turns, r.deviation, r.bead_name, r.deviation_from_centre),
         "tethers": plots.tethers(r.turns, r.length_m, r.tension_n, r.tether_name),
         "balance": plots.balance(r.turns, r.energy_j, r.centre_of_mass_m),
     }

@@ -60,7 +60,7 @@ def trajectories(position_m, tether_ends, bead_name, is_satellite):
             linewidth=0.5,
         )
         for i in np.flatnonzero(is_satellite):
-            style = _series_style(i)
+            style = series_style(i)
             marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
             axes.plot(
                 across[:, i],
@@ -90,9 +90,9 @@ def trajectories(position_m, tether_ends, bead_name, is_satellite):
             *pen, color=INK, linestyle=linestyle, linewidth=1.2, zorder=3, label=f"tethers, {label}"
         )
     plan.set_aspect("equal", adjustable="datalim")
-    _finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
-    _finish(edge, "z, orbit normal [m]", "")
-    _legend_below(figure, plan, columns=5)
+    finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
+    finish(edge, "z, orbit normal [m]", "")
+    legend_below(figure, plan, columns=5)
     return figure
 
 
@@ -123,13 +123,13 @@ def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
     for axes, (label, values) in zip(rows, panels):
         for i, name in enumerate(bead_name):
             axes.plot(
-                turns, 100 * np.asarray(values)[:, i], **_series_style(i), linewidth=1.1, label=name
+                turns, 100 * np.asarray(values)[:, i], **series_style(i), linewidth=1.1, label=name
             )
         axes.axhline(0, color=INK, linewidth=0.6, zorder=1)
         axes.margins(x=0.01)
-        _finish(axes, "", f"deviation\n{label}")
+        finish(axes, "", f"deviation\n{label}")
     rows[-1].set_xlabel("turns of the formation [-]")
-    _legend_below(figure, rows[0], columns=min(6, len(bead_name)))
+    legend_below(figure, rows[0], columns=min(6, len(bead_name)))
     return figure
 
 
@@ -175,12 +175,12 @@ def _panels(turns, panels, names):
     rows = figure.subplots(len(panels), 1, sharex=True)
     for axes, (label, values) in zip(rows, panels):
         for i, curve in enumerate(np.transpose(values)):
-            axes.plot(turns, curve, **_series_style(i), linewidth=1.1, label=names[i])
+            axes.plot(turns, curve, **series_style(i), linewidth=1.1, label=names[i])
         axes.margins(x=0.01)
         axes.ticklabel_format(axis="y", useOffset=False)
-        _finish(axes, "", label)
+        finish(axes, "", label)
     rows[-1].set_xlabel("turns of the formation [-]")
-    _legend_below(figure, rows[0], columns=min(6, len(names)))
+    legend_below(figure, rows[0], columns=min(6, len(names)))
     return figure
 
 
@@ -246,12 +246,12 @@ def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, met
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.ticklabel_format(axis="y", useOffset=False)
-    _finish(
+    finish(
         axes,
         "spin rate over orbital rate, ω/Ω [-]",
         f"largest multiplier modulus, max |ρ| [-]\n({method})",
     )
-    _legend_below(figure, axes, columns=3)
+    legend_below(figure, axes, columns=3)
     return figure
 
 
@@ -298,16 +298,18 @@ def stability_map(parameter, rows):
         )
     if any(np.isnan(value) for _, value, _, _ in rows):
         axes.set_xticks(place, [label for label, *_ in rows], rotation=20, ha="right")
-    _finish(axes, parameter, "spin rate over orbital rate, ω/Ω [-]")
-    _legend_below(figure, axes, columns=3)
+    finish(axes, parameter, "spin rate over orbital rate, ω/Ω [-]")
+    legend_below(figure, axes, columns=3)
     return figure
 
 
-def _series_style(i):
+def series_style(i):
+    """Colour and line style of the i-th curve."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]}
 
 
-def _finish(axes, xlabel, ylabel):
+def finish(axes, xlabel, ylabel):
+    """Label the axes and give them the common look."""
     axes.set_xlabel(xlabel)
     axes.set_ylabel(ylabel)
     axes.grid(color="0.9", linewidth=0.6)
@@ -315,7 +317,8 @@ def _finish(axes, xlabel, ylabel):
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _legend_below(figure, axes, columns):
+def legend_below(figure, axes, columns):
+    """One legend for the figure, of the curves in `axes`, where it covers none."""
     figure.legend(
         *axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False
     )

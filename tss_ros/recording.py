@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tss_ros.bag_reader import DAMAGE, STATES, BagContent, bag_files
-from tss_ros.core import TssError
+from tss_ros.core import TssError, deviation
 from tss_ros.core.system import RADIUS_EARTH_M
 
 
@@ -99,6 +99,13 @@ class Recording:
     def centre_of_mass_m(self):
         """Centre of mass in the orbit frame [m], shape (k, 3)."""
         return np.average(self.position_m, axis=1, weights=self.mass_kg)
+
+    @property
+    def deviation_from_centre(self):
+        """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
+        return deviation(
+            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
+        )
 
     @property
     def energy_j(self):
