@@ -21,7 +21,7 @@ reproduce: setup
 	@. ./activate && exec ros2 run tss_ros reproduce
 
 test: setup
-	@. ./activate && exec python -m pytest $(PYTEST)
+	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile $(PYTEST)
 
 UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
 	--no-emit-index-url --custom-compile-command 'make lock'
