@@ -64,8 +64,11 @@ def test_a_figure_is_drawn_from_its_recording_and_not_made_again(run, tmp_path):
         motion = claims.MOTIONS[name]
         damping = recording.damping_n_s_per_m[0]
         seen = confirm(
-            claims.system("three_star", damping), motion.rate, disturbance_m=motion.disturbance_m,
-            seed=claims.SEED, turns=motion.turns,
+            claims.system("three_star", damping),
+            motion.rate,
+            disturbance_m=motion.disturbance_m,
+            seed=claims.SEED,
+            turns=motion.turns,
         )
         assert recording.step.size == motion.turns * claims.SAMPLES_PER_TURN + 1
         change = np.abs(recording.deviation_from_centre - recording.deviation_from_centre[0])
@@ -148,9 +151,18 @@ def made_up(item):
         held = claims.MOTIONS[name].rate < -2.17
         swing = {"length_last": 1e-5, "kink_last_deg": 3.0, "settled_share": 1.0}
         return {
-            "frozen": 1.003, "frozen_verdict": "neutral", "verdict": "neutral", "nontrivial": 1.0,
-            "closure": 1e-5, "held": held, "settle": 0.25, "from_centre": 0.01, "from_origin": 0.02,
-            "recorded": 0.01, "lost_after": None if held else 2.0, "oscillation": swing,
+            "frozen": 1.003,
+            "frozen_verdict": "neutral",
+            "verdict": "neutral",
+            "nontrivial": 1.0,
+            "closure": 1e-5,
+            "held": held,
+            "settle": 0.25,
+            "from_centre": 0.01,
+            "from_origin": 0.02,
+            "recorded": 0.01,
+            "lost_after": None if held else 2.0,
+            "oscillation": swing,
         }
     simulated = {"settled": -2.16, "held": -2.14, "origin": -2.14}
     return {

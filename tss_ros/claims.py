@@ -238,9 +238,7 @@ def curve(name, damping, cancelled):
         try:
             true = compute_floquet(of, rate, cancelled=cancelled)
             row |= {"verdict": true.verdict, "nontrivial": true.max_modulus_nontrivial}
-            row["shape"] = max(
-                abs(m) for m, f in zip(true.multiplier, true.family) if f == "shape"
-            )
+            row["shape"] = max(abs(m) for m, f in zip(true.multiplier, true.family) if f == "shape")
             row["switches"] = true.switches
         except IntegrationError as error:
             row |= {"verdict": "failed: " + str(error), "nontrivial": math.nan, "shape": math.nan}
@@ -255,8 +253,12 @@ def fate(motion, damping, cancelled):
     true = compute_floquet(of, motion.rate, cancelled=cancelled)
     frozen = compute_floquet(of, motion.rate, "frozen", cancelled=cancelled)
     seen = confirm(
-        of, motion.rate, disturbance_m=motion.disturbance_m or DISTURBANCE_M, seed=SEED,
-        turns=motion.turns, cancelled=cancelled,
+        of,
+        motion.rate,
+        disturbance_m=motion.disturbance_m or DISTURBANCE_M,
+        seed=SEED,
+        turns=motion.turns,
+        cancelled=cancelled,
     )
     return {
         "frozen": frozen.max_modulus,
@@ -276,8 +278,12 @@ def fates_by_damping(motion, dampings, cancelled):
     rows = []
     for damping in dampings:
         seen = confirm(
-            system(motion.scenario, damping), motion.rate, disturbance_m=motion.disturbance_m,
-            seed=SEED, turns=motion.turns, cancelled=cancelled,
+            system(motion.scenario, damping),
+            motion.rate,
+            disturbance_m=motion.disturbance_m,
+            seed=SEED,
+            turns=motion.turns,
+            cancelled=cancelled,
         )
         rows.append([damping, seen.held, seen.turns_to_settle])
     return rows

@@ -40,8 +40,14 @@ def largest_deviation(of, rate, rtol, cancelled):
     turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))
     first, second = np.ascontiguousarray(of.tether_ends.T)
     constants = (
-        of.mass_kg, first, second, of.rest_length_m, of.axial_stiffness_n,
-        of.damping_n_s_per_m, of.orbit_rate_rad_s, RADIUS_EARTH_M + of.orbit_altitude_m,
+        of.mass_kg,
+        first,
+        second,
+        of.rest_length_m,
+        of.axial_stiffness_n,
+        of.damping_n_s_per_m,
+        of.orbit_rate_rad_s,
+        RADIUS_EARTH_M + of.orbit_altitude_m,
     )
 
     def derivative(state, _):
@@ -53,7 +59,9 @@ def largest_deviation(of, rate, rtol, cancelled):
         derivative,
         np.concatenate([start.velocity_m_s.ravel(), start.position_m.ravel()]),
         np.linspace(0, TURNS * turn_s, TURNS * SAMPLES_PER_TURN + 1),
-        rtol=rtol, atol=1e-3 * rtol, mxstep=10**7,
+        rtol=rtol,
+        atol=1e-3 * rtol,
+        mxstep=10**7,
     )
     position_m = states[:, 3 * of.n :].reshape(-1, of.n, 3)
     centre_m = np.average(position_m, axis=1, weights=of.mass_kg)

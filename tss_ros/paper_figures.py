@@ -39,8 +39,12 @@ def table(rows):
     axes.set_axis_off()
     heading = ("Physical significance", "Symbol", "Paper", "Here")
     drawn = axes.table(
-        cellText=rows, colLabels=heading, cellLoc="left", colWidths=(0.42, 0.1, 0.24, 0.24),
-        bbox=(0, 0, 1, 1), edges="horizontal",
+        cellText=rows,
+        colLabels=heading,
+        cellLoc="left",
+        colWidths=(0.42, 0.1, 0.24, 0.24),
+        bbox=(0, 0, 1, 1),
+        edges="horizontal",
     )
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(10)
@@ -83,10 +87,16 @@ def formation(recordings):
         _top(top, recording)
         _deviation(deviation, recording, recording.deviation, "from the origin, Eq. (53) [%]")
         deviation.plot(
-            recording.turns, 100 * recording.deviation_from_centre, color=INK, linewidth=0.9,
+            recording.turns,
+            100 * recording.deviation_from_centre,
+            color=INK,
+            linewidth=0.9,
         )
         deviation.annotate(
-            "black: from the centre of mass", (0.02, 0.97), xycoords="axes fraction", fontsize=8,
+            "black: from the centre of mass",
+            (0.02, 0.97),
+            xycoords="axes fraction",
+            fontsize=8,
             va="top",
         )
         for axes, letter in zip((space, top, deviation), letters):
@@ -178,23 +188,41 @@ def critical_rates(scans, claims):
         if i == 0:
             rates = [max(2.0, abs(row["closed_form"])) for row in rows]
             axes.plot(
-                damping, rates, color=INK, linewidth=1, zorder=1,
+                damping,
+                rates,
+                color=INK,
+                linewidth=1,
+                zorder=1,
                 label="closed form: first slack, or axis tilt at 2",
             )
         rates = [abs(min(x for x in (r["first_slack"], r["stability"]) if x)) for r in rows]
         axes.plot(
-            damping, rates, marker=marker, color=colour, linestyle="", markersize=9,
-            markerfacecolor="none", label=f"monodromy, {title}",
+            damping,
+            rates,
+            marker=marker,
+            color=colour,
+            linestyle="",
+            markersize=9,
+            markerfacecolor="none",
+            label=f"monodromy, {title}",
         )
         rates = [abs(r["simulated"]["settled"] or np.nan) for r in rows]
         axes.plot(
-            damping, rates, marker=marker, color=colour, linestyle="", markersize=4,
+            damping,
+            rates,
+            marker=marker,
+            color=colour,
+            linestyle="",
+            markersize=4,
             label=f"simulation settles, {title}",
         )
     for i, (title, claimed) in enumerate(claims.items()):
         axes.axhline(
-            abs(claimed), color=COLOURS[i % len(COLOURS)], linewidth=0.9,
-            linestyle=series_style(i + 1)["linestyle"], label=f"paper, {title}: {abs(claimed):g}",
+            abs(claimed),
+            color=COLOURS[i % len(COLOURS)],
+            linewidth=0.9,
+            linestyle=series_style(i + 1)["linestyle"],
+            label=f"paper, {title}: {abs(claimed):g}",
         )
     axes.set_xscale("log")
     finish(axes, "damping coefficient C [N s/m]", "critical clockwise spin rate |ω|/Ω [-]")
@@ -213,11 +241,19 @@ def _multipliers(axes, rows, claimed, found):
     rate = rate[order]
     axes.plot(rate, columns["nontrivial"], color="0.45", linewidth=1, label="true, max |ρ|")
     axes.plot(
-        rate, columns["shape"], color="0.45", linewidth=1, linestyle=(0, (1, 1)),
+        rate,
+        columns["shape"],
+        color="0.45",
+        linewidth=1,
+        linestyle=(0, (1, 1)),
         label="true, shape modes only",
     )
     axes.plot(
-        rate, columns["frozen"], color=COLOURS[1], linewidth=1.2, linestyle=(0, (6, 2)),
+        rate,
+        columns["frozen"],
+        color=COLOURS[1],
+        linewidth=1.2,
+        linestyle=(0, (6, 2)),
         label="frozen Jacobian (34)-(47), max |ρ|",
     )
     for name, style in VERDICT_STYLES.items():
@@ -254,7 +290,11 @@ def _space(axes, recording):
         for a, b in recording.tether_ends:
             axes.plot(*position_km[step, [a, b]].T, color=INK, linewidth=0.8 if step else 0.5)
         axes.plot(
-            *position_km[step].T, color=INK, linestyle="", marker="o", markersize=4,
+            *position_km[step].T,
+            color=INK,
+            linestyle="",
+            marker="o",
+            markersize=4,
             markerfacecolor=face,
         )
     reach = 1.05 * np.abs(position_km).max()
@@ -275,11 +315,20 @@ def _top(axes, recording):
     for step, face, name in ((0, "white", "start (open)"), (-1, INK, "end (filled)")):
         for k, (a, b) in enumerate(recording.tether_ends):
             axes.plot(
-                x_km[step, [a, b]], y_km[step, [a, b]], color=INK, linewidth=1.0,
-                linestyle="-" if step else "--", label=None if k else f"tethers, {name}",
+                x_km[step, [a, b]],
+                y_km[step, [a, b]],
+                color=INK,
+                linewidth=1.0,
+                linestyle="-" if step else "--",
+                label=None if k else f"tethers, {name}",
             )
         axes.plot(
-            x_km[step], y_km[step], color=INK, linestyle="", marker="o", markersize=4,
+            x_km[step],
+            y_km[step],
+            color=INK,
+            linestyle="",
+            marker="o",
+            markersize=4,
             markerfacecolor=face,
         )
     axes.set_aspect("equal", adjustable="datalim")

@@ -25,6 +25,8 @@ from tss_ros.topics import read_topics
 STOP_S = 5.0
 #: No new step for so long [s] is an error; compiling the integrator once takes a good part of it.
 STALL_S = 150.0
+#: How long [s] to wait, at the end, for the recorder's last report, which only shows progress.
+LAST_REPORT_S = 2.0
 LOG_LINES = 15
 
 
@@ -109,7 +111,7 @@ class Nodes:
 class Watch:
     """Looks after running nodes: call it several times a second while waiting for something.
 
-    Attributes `last_step` and `messages` tell what the recorder has reported.
+    Attributes `last_step` and `messages` tell what the recorder has reported, `reported_s` when.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ class Watch:
 
     def __init__(self, nodes, ros_node, caught, show):
         self._nodes, self._caught, self._show = nodes, caught, show
-        self.last_step, self.messages = 0, 0
+        self.last_step, self.messages, self.reported_s = 0, 0, 0.0
         self._done, self._state = 0, None
         self._changed = time.monotonic()
         qos = read_topics()["recorder_status"].qos
@@ -152,6 +154,7 @@ class Watch:
             raise TssError(f"nothing was recorded or computed for {STALL_S:g} s")
 
     def _on_status(self, status):
+        self.reported_s = status.stamp.sec + status.stamp.nanosec * 1e-9
         if status.messages:
             self.last_step, self.messages = max(0, status.last_step), status.messages
 
@@ -198,10 +201,11 @@ def record(nodes, ros_node, watch, bag, meanwhile=None, **simulator):
     nodes.start("sim_node", time_scale=0.0, wait_for_recorder=True, **simulator)
     if meanwhile:
         meanwhile()
-    running = True
-    while running:
-        # Once more after its end, for the recorder's last report.
-        running = nodes.running("sim_node")
+    while nodes.running("sim_node"):
+        rclpy.spin_once(ros_node, timeout_sec=0.1)
+        watch()
+    ended_s = time.time()
+    while watch.reported_s < ended_s and time.time() < ended_s + LAST_REPORT_S:
         rclpy.spin_once(ros_node, timeout_sec=0.1)
         watch()
     nodes.stop("logger_node")

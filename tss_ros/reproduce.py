@@ -214,18 +214,20 @@ class Workshop:
             "scan": lambda: claims.damping_scan(name, dampings[1:], cancelled),
             "fates": lambda: {
                 motion: claims.fates_by_damping(
-                    claims.MOTIONS[motion], (100.0, damping, 5000.0)
-                    if motion.startswith("figure_14") else dampings, cancelled
+                    claims.MOTIONS[motion],
+                    (100.0, damping, 5000.0) if motion.startswith("figure_14") else dampings,
+                    cancelled,
                 )
                 for motion, held, *_ in claims.FATES
                 if self.result(f"motion {motion}")["held"] != held
             },
-            "none": lambda: claims.none_beyond(
-                "three_star_50kg", (0.0, *dampings), cancelled
-            ),
+            "none": lambda: claims.none_beyond("three_star_50kg", (0.0, *dampings), cancelled),
             "six": lambda: [
-                [c, claims.boundaries("six_bead", c, -3.5, -2.0, cancelled),
-                 claims.simulated_edges("six_bead", c, cancelled, which=("held",))["held"]]
+                [
+                    c,
+                    claims.boundaries("six_bead", c, -3.5, -2.0, cancelled),
+                    claims.simulated_edges("six_bead", c, cancelled, which=("held",))["held"],
+                ]
                 for c in (100.0, damping, 5000.0)
             ],
             "disturbances": lambda: [
@@ -242,9 +244,8 @@ class Workshop:
 
     def _record(self, name, cancelled):
         motion = claims.MOTIONS[name]
-        turn_s = 2 * math.pi / abs(
-            claims.system(motion.scenario, self.damping).spin_rate_rad_s(motion.rate)
-        )
+        of = claims.system(motion.scenario, self.damping)
+        turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(motion.rate))
         shutil.rmtree(self._bag(name), ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=".motion.", dir=self._output) as scratch:
             logs, bag = Path(scratch), Path(scratch) / "bag"

@@ -25,9 +25,9 @@ PICTURES = (
         "figure_05",
         "Fig. 5",
         "The multipliers leave the unit circle when the rate falls below about 2.17.",
-        "Tethers first go slack at 2.17; a little below, at 2.14, the motion is unstable, and from"
-        " 2.11 down none closes any more. The frozen curve lies at 1.00 throughout and marks"
-        " nothing.",
+        "Tethers first go slack at 2.17; a little below, at 2.14, the motion is unstable in its"
+        " spin, and from 2.11 down none closes any more. The frozen curve lies at 1.00"
+        " throughout and marks nothing.",
     ),
     (
         "figure_06",

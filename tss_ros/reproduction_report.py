@@ -106,14 +106,21 @@ def _damping(result):
         of = found[name]
         if of["damping"]:
             rows.append(
-                (claims.TITLES[name], rate(of["rate"]), f"{of['damping']:g}",
-                 f"{abs(of['closed_form']):.4f}")
+                (
+                    claims.TITLES[name],
+                    rate(of["rate"]),
+                    f"{of['damping']:g}",
+                    f"{abs(of['closed_form']):.4f}",
+                )
             )
         else:
             rows.append(
-                (claims.TITLES[name], rate(of["rate"]),
-                 f"none; at C = 300 the least stretch in a turn is {of['least_stretch_m']:.3f} m",
-                 f"at most {abs(claims.RIGID_EDGE):.5f}")
+                (
+                    claims.TITLES[name],
+                    rate(of["rate"]),
+                    f"none; least stretch in a turn {of['least_stretch_m']:.3f} m at C = 300",
+                    f"at most {abs(claims.RIGID_EDGE):.5f}",
+                )
             )
     lines.append(_table(("system", "claimed rate", "C [N s/m]", "closed form there"), rows))
     none = result("none beyond")
@@ -131,10 +138,7 @@ def _damping(result):
         for row, *cells in zip(
             result(f"scan {claims.STARS[1]}"),
             [f"{abs(row['closed_form']):.3f}" for row in result(f"scan {claims.STARS[1]}")],
-            *(
-                [_scan_cell(row) for row in result(f"scan {name}")]
-                for name in claims.STARS
-            ),
+            *([_scan_cell(row) for row in result(f"scan {name}")] for name in claims.STARS),
         )
     ]
     lines.append(
@@ -167,9 +171,7 @@ def _mass(result, damping):
         (f"{rtol:g}", *(found_rate(found[name, rtol]) for name in claims.STARS))
         for rtol in tolerances
     ]
-    stretch = [
-        claims.system(name, damping).mass_kg[0] for name in claims.STARS
-    ]
+    stretch = [claims.system(name, damping).mass_kg[0] for name in claims.STARS]
     return "\n\n".join(
         [
             "Three ways in which a simulation could show what the model does not have, tried at"
@@ -217,8 +219,12 @@ def _edges(edges):
 
 def _six_beads(result, damping):
     rows = [
-        (f"{c:g}", found_rate(critical(boundaries)), found_rate(held),
-         "; ".join(f"{found_rate(r)} {cause}" for r, cause, _ in boundaries))
+        (
+            f"{c:g}",
+            found_rate(critical(boundaries)),
+            found_rate(held),
+            "; ".join(f"{found_rate(r)} {cause}" for r, cause, _ in boundaries),
+        )
         for c, boundaries, held in result("six beads")
     ]
     motions = ("figure_14_1.5", "figure_14_2.2", "six_bead_2.9")
@@ -227,10 +233,16 @@ def _six_beads(result, damping):
         o = result(f"motion {motion}")["oscillation"]
         peaks = ", ".join(f"{f:.2f} ({a:.2f}°)" for f, a in o["peaks"])
         swing.append(
-            (rate(claims.MOTIONS[motion].rate),
-             "held" if result(f"motion {motion}")["held"] else "lost",
-             percent(o["settled_share"]), percent(o["length_first"]), percent(o["length_last"]),
-             f"{o['kink_first_deg']:.2f}", f"{o['kink_last_deg']:.2f}", peaks)
+            (
+                rate(claims.MOTIONS[motion].rate),
+                "held" if result(f"motion {motion}")["held"] else "lost",
+                percent(o["settled_share"]),
+                percent(o["length_first"]),
+                percent(o["length_last"]),
+                f"{o['kink_first_deg']:.2f}",
+                f"{o['kink_last_deg']:.2f}",
+                peaks,
+            )
         )
     return "\n\n".join(
         [
@@ -238,15 +250,33 @@ def _six_beads(result, damping):
             " can shorten its chord by kinking at its bead without either half getting shorter.)"
             " Its slowest stable range is narrow; faster than it lies a band of unstable or missing"
             " periodic motion, then it is stable again.",
-            _table(("C [N s/m]", "critical by monodromy", "held beyond, simulated",
-                    "all boundaries from 3.5 to 2.0"), rows),
+            _table(
+                (
+                    "C [N s/m]",
+                    "critical by monodromy",
+                    "held beyond, simulated",
+                    "all boundaries from 3.5 to 2.0",
+                ),
+                rows,
+            ),
             "From the recordings, 12 turns: part of the last 4 turns in which all lengths are"
             " within 0.1 % of L, largest |l/L - 1| in the first and the last turn, and the kink of"
             " a tether at its bead (in the orbital plane, 0 where it is straight): peak to peak"
             " in the third and the last turn, and its strongest spectral lines in cycles per turn"
             " (amplitude).",
-            _table(("rate", "", "lengths within 0.1 %", "lengths, first", "last",
-                    "kink, third [°]", "last [°]", "lines [1/turn]"), swing),
+            _table(
+                (
+                    "rate",
+                    "",
+                    "lengths within 0.1 %",
+                    "lengths, first",
+                    "last",
+                    "kink, third [°]",
+                    "last [°]",
+                    "lines [1/turn]",
+                ),
+                swing,
+            ),
             "![Six beads at 2.9](six_bead_2.9.png)",
             "*Six beads at 2.9, where they hold: the lengths settle at once to the small periodic"
             " variation that the gravity gradient forces, the distances keep oscillating.*",

@@ -68,10 +68,15 @@ def _critical_row(result, damping, name, claimed):
             " tried loses anything beyond 2.62 (below)"
         )
     return (
-        claims.TITLES[name], f"critical rate {rate(claimed)}", WHERE[name],
+        claims.TITLES[name],
+        f"critical rate {rate(claimed)}",
+        WHERE[name],
         f"none: max |ρ| {min(whole):.4f} to {max(whole):.4f}, without centre of mass and spin"
         f" at most {max(frozen):.6f}, for all rates 1.2 to 3.5",
-        found_rate(found), simulated, f"{damping:g}", verdict,
+        found_rate(found),
+        simulated,
+        f"{damping:g}",
+        verdict,
     )
 
 
@@ -92,9 +97,14 @@ def _fate_row(result, damping, motion, held, words, where):
             fate = "held" if seen["held"] else "lost"
             verdict = f"not reproduced: {fate} at every C tried, {min(tried):g} to {max(tried):g}"
     return (
-        claims.TITLES[name], words, where,
-        f"{seen['frozen_verdict']}, max |ρ| {seen['frozen']:.4f}", _true_verdict(seen),
-        _outcome(seen), f"{damping:g}", verdict,
+        claims.TITLES[name],
+        words,
+        where,
+        f"{seen['frozen_verdict']}, max |ρ| {seen['frozen']:.4f}",
+        _true_verdict(seen),
+        _outcome(seen),
+        f"{damping:g}",
+        verdict,
     )
 
 
@@ -102,15 +112,18 @@ def _undisturbed_row(result, damping, motion):
     seen, of = result(f"motion {motion}"), claims.MOTIONS[motion]
     kept = seen["lost_after"] is None
     return (
-        claims.TITLES[of.scenario], f"undisturbed start keeps its shape at {rate(of.rate)}",
-        UNDISTURBED[motion], f"{seen['frozen_verdict']}, max |ρ| {seen['frozen']:.4f}",
+        claims.TITLES[of.scenario],
+        f"undisturbed start keeps its shape at {rate(of.rate)}",
+        UNDISTURBED[motion],
+        f"{seen['frozen_verdict']}, max |ρ| {seen['frozen']:.4f}",
         _true_verdict(seen),
         f"{'kept' if kept else 'lost after ' + format(seen['lost_after'], '.1f') + ' turns'}:"
         f" distances from the centre of mass change by up to"
         f" {percent(seen['recorded'])} in {of.turns} turns",
         f"{damping:g}",
-        f"reproduced at C = {damping:g}" if kept else
-        "not reproduced: tethers go slack and the shape is lost within the turns simulated",
+        f"reproduced at C = {damping:g}"
+        if kept
+        else "not reproduced: tethers go slack and the shape is lost within the turns simulated",
     )
 
 
@@ -118,8 +131,10 @@ def _oscillation_row(result, damping):
     at_claim = result("motion figure_14_2.2")["oscillation"]
     at_held = result("motion six_bead_2.9")["oscillation"]
     return (
-        claims.TITLES["six_bead"], "lengths settle in about 10 turns at 2.2, shape oscillates on",
-        "Fig. 15c-d", "says nothing of it",
+        claims.TITLES["six_bead"],
+        "lengths settle in about 10 turns at 2.2, shape oscillates on",
+        "Fig. 15c-d",
+        "says nothing of it",
         f"{_true_verdict(result('motion figure_14_2.2'))} at 2.2;"
         f" {_true_verdict(result('motion six_bead_2.9'))} at 2.9",
         f"at 2.2 lengths within 0.1 % for {percent(at_claim['settled_share'])} of the last 4 turns,"
@@ -135,9 +150,14 @@ def _oscillation_row(result, damping):
 def _trend_row(result, damping):
     found = [found_rate(critical(result(f"boundaries {name}"))) for name in claims.STARS]
     return (
-        "3-star", "critical rate falls with mass: 2.79, 2.17, 2.07 at 50, 100, 1000 kg", "Fig. 9",
-        "none at any mass", ", ".join(found), "the same at every mass within 0.02 (below)",
-        f"{damping:g}", "not reproduced: the model has no such dependence at one C",
+        "3-star",
+        "critical rate falls with mass: 2.79, 2.17, 2.07 at 50, 100, 1000 kg",
+        "Fig. 9",
+        "none at any mass",
+        ", ".join(found),
+        "the same at every mass within 0.02 (below)",
+        f"{damping:g}",
+        "not reproduced: the model has no such dependence at one C",
     )
 
 
