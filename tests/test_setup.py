@@ -92,9 +92,9 @@ def test_versions_and_executables_agree():
     package = ElementTree.parse(ROOT / "package.xml").getroot()
     assert package.findtext("version") == importlib.metadata.version("tss_ros")
     scripts = importlib.metadata.distribution("tss_ros").entry_points
-    assert len(scripts) == 6
+    assert {"sim_node", "stability_node", "logger_node", "demo"} <= scripts.names
     for script in scripts:
-        assert script.value == f"tss_ros.{script.name}:main"
+        assert callable(script.load())
         assert os.access(ROOT / "install/tss_ros/lib/tss_ros" / script.name, os.X_OK)
 
 

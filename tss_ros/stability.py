@@ -21,6 +21,8 @@ from tss_ros import plots
 from tss_ros.core import TssError
 from tss_ros.node_main import USER_ERRORS
 
+#: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
+GONE_S = 5.0
 #: Rates asked for at a time, so that progress shows and Ctrl-C is heard between the answers.
 BATCH = 4
 #: What must be small for a result to be right; a jordan_error is the root of such an error.
@@ -111,9 +113,12 @@ def compute(
                 confirm_turns=confirm_turns,
             )
             answer = client.call_async(request)
+            seen = time.monotonic()
             while not answer.done():
                 wait()
-                if not (answer.done() or client.service_is_ready()):
+                if client.service_is_ready():
+                    seen = time.monotonic()
+                if time.monotonic() - seen > GONE_S and not answer.done():
                     raise TssError(f"the node of {client.service_name} ended before it answered")
             if not answer.result().success:
                 raise TssError(answer.result().message)
