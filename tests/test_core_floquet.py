@@ -80,6 +80,18 @@ def test_multipliers_known_to_be_on_the_unit_circle_are(damping):
     assert result.flow_error < 1e-8
 
 
+@pytest.mark.parametrize("mass, damping", [(50.0, 1e4), (100.0, 1e5), (1000.0, 3e5)])
+def test_tethers_that_relax_slowly_are_not_taken_for_the_spin(mass, damping):
+    """Overdamped stretch relaxes at the rate EA / (C L): its modes reach for the unit circle."""
+    result = compute_floquet(
+        ring(satellite_mass_kg=mass, damping_n_s_per_m=damping), -2.5, certify=False
+    )
+    assert result.verdict == "asymptotically stable"
+    assert result.jordan_error < 1e-3
+    slow = math.exp(-5e4 / (1e4 * damping) * result.period_s)
+    np.testing.assert_allclose(moduli(result, "shape")[:3], slow, rtol=0.02)
+
+
 @pytest.mark.parametrize("w", [-2.9, -3.5])
 def test_six_bead_system_has_neutral_beads_and_exact_trivial_multipliers(w):
     """The tethers' stretch decays, the swing of the light beads does not (paper, section 3.3)."""

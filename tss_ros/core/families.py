@@ -6,6 +6,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
+#: Scale of ln|rho| within which a multiplier counts as near the unit circle. Overdamped tethers
+#: relax so slowly that their modes turn with the spin as they do.
+NEAR_CIRCLE = 0.01
 
 
 def label(system, state, multiplier, vectors):
@@ -51,7 +54,7 @@ def label(system, state, multiplier, vectors):
         room.append(2 * basis.shape[1])
     share.append(1.0 - np.sum(share, axis=0))
     modulus = np.maximum(np.abs(multiplier), 1e-300)
-    near_circle = 1.0 / (1.0 + np.abs(np.log(modulus)))
+    near_circle = 1.0 / (1.0 + (np.log(modulus) / NEAR_CIRCLE) ** 2)
     for rigid in range(3):
         share[rigid] = share[rigid] * (near_circle if rigid < 2 else 1.0) * (modulus > 1e-10)
     room.append(6 * n - sum(room))
