@@ -363,7 +363,7 @@ def test_requests_are_answered_while_a_stiff_system_is_integrated(start, client)
     assert max(times.values()) < 0.5, times
     timed("reset", lambda: simulator.do(ResetSimulation))
     assert times["reset"] < 5.0, times  # the equilibrium of 999 beads has to be found
-    assert process.stop() == 0
+    assert process.stop() == 0, process.stderr
 
 
 def test_random_requests_are_answered_rightly_or_refused(tmp_path):

@@ -19,6 +19,8 @@ from rclpy.node import Node
 
 from tss_ros.core import TssError
 
+#: Longest time [s] between the end of the context by a signal and the call of our handler.
+HANDLER_DELAY_S = 0.5
 #: Errors that a user can put right; anything else is a mistake of ours and shows its traceback.
 USER_ERRORS = (TssError, OSError, ParameterException, rclpy_implementation.RCLError)
 
@@ -125,7 +127,8 @@ def run(node_class):
     except (KeyboardInterrupt, ExternalShutdownException, Finished):
         pass
     except Exception as error:
-        if rclpy.ok() or not told_to_stop.is_set():
+        # rclpy shuts the context down a moment before our own handler is called.
+        if rclpy.ok() or not told_to_stop.wait(HANDLER_DELAY_S):
             if not isinstance(error, USER_ERRORS):
                 raise
             status = _tell(name, error)
