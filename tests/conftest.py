@@ -24,3 +24,10 @@ def _reserve_domain_id():
 DOMAIN_ID, _reservation = _reserve_domain_id()
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+def pytest_sessionfinish():
+    """Leave nothing in shared memory; nodes of this process are gone by now."""
+    import ros_harness
+
+    ros_harness.remove_left_behind()

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import os
 import re
 import signal
 import subprocess
@@ -131,10 +132,21 @@ def _shared_memory(pid):
     return set()
 
 
-def _remove_unused(memory):
+#: Shared memory of killed processes that others, this one perhaps, still used afterwards.
+_left_behind = set()
+
+
+def remove_left_behind():
+    """Remove the shared memory of killed processes that nobody but this one uses any more."""
+    _remove_unused(set(_left_behind), but_for={os.getpid()})
+
+
+def _remove_unused(memory, but_for=frozenset()):
     """Remove what killed processes could not, unless others still use it."""
-    running = [int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()]
-    for path in memory.difference(*map(_shared_memory, running)):
+    running = {int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()}
+    used = set().union(*map(_shared_memory, running - but_for))
+    _left_behind.update(memory & used)
+    for path in memory - used:
         lock, mutex = path.with_name(path.name + "_el"), path.with_name(f"sem.{path.name}_mutex")
         for leftover in (path, lock, mutex):
             leftover.unlink(missing_ok=True)
