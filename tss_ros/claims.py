@@ -132,7 +132,8 @@ def identify_damping(cancelled):
 
         def stretch(damping, name=name, rate=rate):
             of = system(name, damping)
-            motion = Propagator(of, rate, compute_floquet(of, rate, certify=False, cancelled=cancelled).state)
+            start = compute_floquet(of, rate, certify=False, cancelled=cancelled).state
+            motion = Propagator(of, rate, start)
             position_m, velocity_m_s = motion.sample(np.linspace(0, motion.period_s, 721))
             length_m, _, _ = tether_state(of, position_m, velocity_m_s)
             return float(np.min(length_m - of.rest_length_m))
