@@ -107,6 +107,15 @@ def test_chaos_is_a_verdict_and_bounded():
     assert math.isnan(result.max_modulus)
 
 
+def test_a_matrix_at_the_edge_of_chaos_is_judged_with_infinite_error():
+    """Six beads at -1.5: one turn just fits, cut or integrated finer it does not."""
+    system = scenario.load("six_bead").build()
+    result = compute_floquet(system, -1.5, rtol=1e-9)
+    assert result.verdict == "no periodic motion"
+    if result.family:
+        assert result.segment_error > 1.0 or result.convergence_error > 1.0
+
+
 def test_no_steady_configuration_is_a_verdict():
     result = compute_floquet(ring(axial_stiffness_n=1e-3, damping_n_s_per_m=0.1), -3.0)
     assert result.verdict == "no periodic motion"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tss_ros.core.errors import Cancelled
+from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import seed_variations, turn
 
@@ -31,12 +31,10 @@ def segment_error(latest, settled, cancelled=None):
     Returns
     -------
     float
-        Largest distance between two multipliers that belong together.
+        Largest distance between two multipliers that belong together; infinite where the other
+        turn proves to be chaotic.
     """
-    return max(
-        _distance(latest.matrix, turn(latest.flow, latest.start, cancelled, parts).matrix, settled)
-        for parts in SEGMENTS
-    )
+    return max(_distance(latest, latest.flow, settled, cancelled, parts) for parts in SEGMENTS)
 
 
 def convergence_error(latest, settled, cancelled=None):
@@ -46,11 +44,16 @@ def convergence_error(latest, settled, cancelled=None):
     """
     flow = latest.flow
     finer = Flow(flow.system, flow.plant.spin, max(0.01 * flow.rtol, 1e-12), flow.control.length)
-    return _distance(latest.matrix, turn(finer, latest.start, cancelled).matrix, settled)
+    return _distance(latest, finer, settled, cancelled)
 
 
-def _distance(first, second, settled):
-    one, other = np.linalg.eigvals(first), np.linalg.eigvals(second)
+def _distance(latest, flow, settled, cancelled, parts=1):
+    """Largest distance of multipliers; infinite where the other turn proves to be chaotic."""
+    try:
+        again = turn(flow, latest.start, cancelled, parts)
+    except IntegrationError:
+        return math.inf
+    one, other = np.linalg.eigvals(latest.matrix), np.linalg.eigvals(again.matrix)
     apart = np.abs(one[:, None] - other[None, :])
     rows, columns = linear_sum_assignment(apart)
     return float(np.max(apart[rows, columns][settled(one[rows])], initial=0.0))
