@@ -132,21 +132,24 @@ def _shared_memory(pid):
     return set()
 
 
-#: Shared memory of killed processes that others, this one perhaps, still used afterwards.
-_left_behind = set()
+def _segments():
+    """The middleware's shared memory on this machine."""
+    return {p for p in Path("/dev/shm").glob("fastrtps_*") if not p.name.endswith("_el")}
+
+
+#: What was there before this test run.
+_before = _segments()
 
 
 def remove_left_behind():
-    """Remove the shared memory of killed processes that nobody but this one uses any more."""
-    _remove_unused(set(_left_behind), but_for={os.getpid()})
+    """Remove what killed processes of this test run could not, if nobody but this one uses it."""
+    _remove_unused(_segments() - _before, but_for={os.getpid()})
 
 
 def _remove_unused(memory, but_for=frozenset()):
     """Remove what killed processes could not, unless others still use it."""
     running = {int(path.name) for path in Path("/proc").iterdir() if path.name.isdigit()}
-    used = set().union(*map(_shared_memory, running - but_for))
-    _left_behind.update(memory & used)
-    for path in memory - used:
+    for path in memory.difference(*map(_shared_memory, running - but_for)):
         lock, mutex = path.with_name(path.name + "_el"), path.with_name(f"sem.{path.name}_mutex")
         for leftover in (path, lock, mutex):
             leftover.unlink(missing_ok=True)
