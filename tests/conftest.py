@@ -4,6 +4,8 @@ import os
 import random
 import socket
 
+import pytest
+
 
 def _reserve_domain_id():
     """Return a ROS domain ID that no other test run has, and the socket that keeps it reserved.
@@ -24,6 +26,24 @@ def _reserve_domain_id():
 DOMAIN_ID, _reservation = _reserve_domain_id()
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+@pytest.fixture
+def start(tmp_path):
+    """A function that starts nodes in a folder of the test; they are gone when it ends."""
+    import ros_harness
+
+    with ros_harness.processes(tmp_path) as start:
+        yield start
+
+
+@pytest.fixture
+def client():
+    """A node of this process, and a function that spins it until something holds."""
+    import ros_harness
+
+    with ros_harness.client_node() as (node, spin_until):
+        yield node, spin_until
 
 
 def pytest_sessionfinish():

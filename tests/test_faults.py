@@ -27,12 +27,6 @@ ALLOWED_LOSS_S = 0.5
 KILLS, CUTS = 3, 60
 
 
-@pytest.fixture
-def start(tmp_path):
-    with ros_harness.processes(tmp_path) as start:
-        yield start
-
-
 def messages(bag):
     """(topic, sequence number, data) of every message of a bag, by an independent reader."""
     with AnyReader([bag]) as reader:

@@ -35,18 +35,6 @@ rclpy.spin(node)
 """
 
 
-@pytest.fixture
-def start(tmp_path):
-    with ros_harness.processes(tmp_path) as start:
-        yield start
-
-
-@pytest.fixture
-def client():
-    with ros_harness.client_node() as (node, spin_until):
-        yield node, spin_until
-
-
 def recorded_steps(bag, topic):
     with AnyReader([bag]) as reader:
         connections = [c for c in reader.connections if c.topic == topic]

@@ -27,12 +27,6 @@ PERIOD_S = 5.0
 STEPS = 1 + math.floor(TURN_S / PERIOD_S)
 
 
-@pytest.fixture
-def start(tmp_path):
-    with ros_harness.processes(tmp_path) as start:
-        yield start
-
-
 # --- a whole run, recorded
 
 

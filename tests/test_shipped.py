@@ -13,22 +13,15 @@ from ros_harness import time_ns
 
 from tss_ros import parameters, translate
 from tss_ros.core import ring
+from tss_ros.scenario import shipped
 from tss_ros.topics import read_topics
 
 SHARE = Path(get_package_share_directory("tss_ros"))
 SCENARIOS = ("three_star", "three_star_50kg", "three_star_1000kg", "six_bead")
 
 
-@pytest.fixture
-def start(tmp_path):
-    with ros_harness.processes(tmp_path) as start:
-        yield start
-
-
-@pytest.fixture
-def client():
-    with ros_harness.client_node() as (node, spin_until):
-        yield node, spin_until
+def test_every_scenario_has_a_parameter_file():
+    assert {path.stem for path in (SHARE / "config").glob("*.yaml")} == set(shipped())
 
 
 def test_parameter_files_start_every_node(start, client):
