@@ -27,12 +27,12 @@ DOMAIN_ID, _reservation = _reserve_domain_id()
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
+import ros_harness  # noqa: E402, it starts ROS, which reads the environment
+
 
 @pytest.fixture
 def start(tmp_path):
     """A function that starts nodes in a folder of the test; they are gone when it ends."""
-    import ros_harness
-
     with ros_harness.processes(tmp_path) as start:
         yield start
 
@@ -40,14 +40,11 @@ def start(tmp_path):
 @pytest.fixture
 def client():
     """A node of this process, and a function that spins it until something holds."""
-    import ros_harness
-
     with ros_harness.client_node() as (node, spin_until):
         yield node, spin_until
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_sessionfinish():
-    """Leave nothing in shared memory; nodes of this process are gone by now."""
-    import ros_harness
-
+    """Leave nothing in shared memory: all nodes, and the workers of this run, are gone by now."""
     ros_harness.remove_left_behind()
