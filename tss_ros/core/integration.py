@@ -1,4 +1,10 @@
-"""Adaptive integration of motion and variations; steps end exactly on slack/taut switches."""
+"""Adaptive integration of motion and variations; steps end exactly on slack/taut switches.
+
+Two kinds of steps take turns. Explicit ones (`taylor`) are cheap, but no longer than the fastest
+motion of the tethers allows, even where it has died away; implicit ones (`radau`) then go on in far
+longer steps. So: explicit from every start and switch on, implicit once nothing but the bound on
+explicit steps holds them back, and explicit again where implicit steps do not grow.
+"""
 
 import math
 from collections import namedtuple
@@ -6,36 +12,52 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
+from tss_ros.core import taylor
 from tss_ros.core.forces import acceleration, jacobian, stretch
 from tss_ros.core.radau import add, error_estimate, newton_matrices, solve_stages
-from tss_ros.core.switching import first_switch, toggle
+from tss_ros.core.switching import first_switch, first_switch_of_series, toggle
 from tss_ros.core.variations import vary
 
 #: Where Newton's iteration does not limit the step [s]; finite, so that it can be stored anywhere.
 ANY_STEP = 1e300
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
+#: Kinds of steps, and what `Control.kind` may allow: one kind only, or both.
+IMPLICIT, EXPLICIT, BOTH = range(3)
+#: Explicit steps that one implicit step costs, of the motion alone and with variations.
+COST, COST_VARIED = 8.0, 3.0
+#: Share of the longest step an explicit method can bear at the fastest rate, N!^(1/N) of its
+#: inverse, from which on a step counts as bounded by that rate alone.
+BOUNDED = 0.75
+#: Places in `Motion.count` beyond the plain counts: kind of the next and of the last step, steps in
+#: a row that speak for the other kind, explicit steps still to be made whatever speaks against
+#: them, and how many that will be next time.
+NEXT, LAST, DOUBT, HOLD, BACKOFF = range(5, 10)
 
-#: What `advance` carries from call to call. time (5,): now, next step size, start and size of the
-#: step `z` and `rise` describe, largest step that Newton's iteration bears. count (5,): accepted
-#: steps, rejected steps, Newton iterations, switches, sampled times. taut (m,). v, r (n,3): state
-#: now. v0, r0 (n,3), z, rise (s,n,3): start of the last step and the increments of velocity and
-#: position at its nodes. x_v, x_r (n,3,k): variations of velocity and position, k may be 0.
-#: dissipation (1,): integral of the trace of the damping matrix over time.
-Motion = namedtuple("Motion", "time count taut v r v0 r0 z rise x_v x_r dissipation")
+#: What `advance` carries from call to call. time (5,): now, next implicit step size, start and size
+#: of the last step, largest step that Newton's iteration bears. count (10,): accepted steps,
+#: rejected steps, Newton iterations, switches, sampled times, and as above. taut (m,). v, r (n,3):
+#: state now. v0, r0 (n,3), z, rise (s,n,3): start of the last implicit step and the increments of
+#: velocity and position at its nodes. series (n,3,N+1): the last explicit step, in the orbit frame.
+#: x_v, x_r (n,3,k): variations of velocity and position, k may be 0. dissipation (1,): integral of
+#: the trace of the damping matrix over time.
+Motion = namedtuple(
+    "Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation"
+)
 
 
-def begin(plant, tables, v, r, columns, first_step):
+def begin(plant, tables, control, v, r, columns, first_step):
     """Start a `Motion` at time 0 from velocities and positions in the turning frame.
 
     Parameters
     ----------
     plant : forces.Plant
     tables : collocation.Tables
+    control : radau.Control
     v, r : ndarray, shape (n, 3)
     columns : int
         Number k of variation columns; the arrays start at zero.
     first_step : float
-        [s] first step size to try.
+        [s] first implicit step size to try.
 
     Returns
     -------
@@ -45,9 +67,11 @@ def begin(plant, tables, v, r, columns, first_step):
     excess, growth = np.empty(m), np.empty(m)
     stretch(plant, v, r, excess, growth)
     taut = (excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | plant.bilateral
+    count = np.zeros(10, dtype=np.int64)
+    count[NEXT] = IMPLICIT if control.kind == IMPLICIT else EXPLICIT
     return Motion(
         np.array([0.0, first_step, 0.0, 0.0, ANY_STEP]),
-        np.zeros(5, dtype=np.int64),
+        count,
         taut,
         np.array(v, dtype=float),
         np.array(r, dtype=float),
@@ -55,10 +79,35 @@ def begin(plant, tables, v, r, columns, first_step):
         np.array(r, dtype=float),
         np.zeros((s, n, 3)),
         np.zeros((s, n, 3)),
+        np.zeros((n, 3, control.order + 1)),
         np.zeros((n, 3, columns)),
         np.zeros((n, 3, columns)),
         np.zeros(1),
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_orbit_frame(spin, time, v, r):
+    """Turn velocities and positions (n,3,k) of the turning frame into those of the orbit frame."""
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(r.shape[0]):
+        for b in range(r.shape[2]):
+            x, y = r[i, 0, b], r[i, 1, b]
+            vx, vy = v[i, 0, b] - spin * y, v[i, 1, b] + spin * x
+            r[i, 0, b], r[i, 1, b] = c * x - s * y, s * x + c * y
+            v[i, 0, b], v[i, 1, b] = c * vx - s * vy, s * vx + c * vy
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_turning_frame(spin, time, v, r):
+    """Inverse of `_to_orbit_frame`."""
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(r.shape[0]):
+        for b in range(r.shape[2]):
+            x, y = c * r[i, 0, b] + s * r[i, 1, b], c * r[i, 1, b] - s * r[i, 0, b]
+            vx, vy = c * v[i, 0, b] + s * v[i, 1, b], c * v[i, 1, b] - s * v[i, 0, b]
+            r[i, 0, b], r[i, 1, b] = x, y
+            v[i, 0, b], v[i, 1, b] = vx + spin * y, vy - spin * x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -91,18 +140,17 @@ def _sample(plant, tables, motion, times, out_v, out_r):
         index = motion.count[4]
         now = times[index]
         v, r = out_v[index], out_r[index]
-        v[:] = motion.v0
-        r[:] = motion.r0
-        if motion.time[3] > 0.0:
-            fraction = (now - motion.time[2]) / motion.time[3]
-            _interpolate(tables, motion.z, fraction, v)
-            _interpolate(tables, motion.rise, fraction, r)
-        c, s = math.cos(plant.spin * now), math.sin(plant.spin * now)
-        for i in range(r.shape[0]):
-            x, y = r[i, 0], r[i, 1]
-            vx, vy = v[i, 0] - plant.spin * y, v[i, 1] + plant.spin * x
-            r[i, 0], r[i, 1] = c * x - s * y, s * x + c * y
-            v[i, 0], v[i, 1] = c * vx - s * vy, s * vx + c * vy
+        if motion.count[LAST] == EXPLICIT:
+            taylor.evaluate(motion.series, now - motion.time[2], v, r)
+        else:
+            v[:] = motion.v0
+            r[:] = motion.r0
+            if motion.time[3] > 0.0:
+                fraction = (now - motion.time[2]) / motion.time[3]
+                _interpolate(tables, motion.z, fraction, v)
+                _interpolate(tables, motion.rise, fraction, r)
+            n = r.shape[0]
+            _to_orbit_frame(plant.spin, now, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
         motion.count[4] += 1
 
 
@@ -117,7 +165,7 @@ def advance(
     plant : forces.Plant
     symbolic : blocklu.Symbolic
     tables : collocation.Tables
-    control : Control
+    control : radau.Control
     motion : Motion
         Advanced in place.
     stop : float
@@ -134,20 +182,24 @@ def advance(
     int
         REACHED, PAUSED (out of steps), STEP_TOO_SMALL or TOO_MANY_SWITCHES.
     """
-    s, n = tables.stages, motion.r.shape[0]
-    real = np.empty((symbolic.blocks, 3, 3))
-    cplx = np.empty((tables.value.size, symbolic.blocks, 3, 3), dtype=np.complex128)
-    by_r = np.empty((symbolic.row.size, 3, 3))
-    by_v = np.empty((symbolic.row.size, 3, 3))
-    z = np.zeros((s, n, 3))
-    rise = np.zeros((s, n, 3))
-    old = np.zeros((s, n, 3))
-    f0 = np.zeros((n, 3))
-    excess, growth = np.empty(plant.rest.size), np.empty(plant.rest.size)
-    middle = s // 2
-    trial_v, trial_r = np.empty((n, 3)), np.empty((n, 3))
+    s, n, order = tables.stages, motion.r.shape[0], control.order
+    work = _Work(
+        np.empty((symbolic.blocks, 3, 3)),
+        np.empty((tables.value.size, symbolic.blocks, 3, 3), dtype=np.complex128),
+        np.empty((symbolic.row.size, 3, 3)),
+        np.empty((symbolic.row.size, 3, 3)),
+        np.zeros((s, n, 3)),
+        np.zeros((s, n, 3)),
+        np.zeros((s, n, 3)),
+        np.empty((n, 3)),
+        np.empty((n, 3)),
+        np.empty(plant.rest.size),
+        np.empty(plant.rest.size),
+        taylor.blank(n, plant.rest.size, order),
+        np.empty((order + 1, *motion.x_r.shape)),
+    )
     made, most_switches = 0, motion.count[3] + switches
-    grown = True
+    follows = True
     _sample(plant, tables, motion, times, out_v, out_r)
     while True:
         t = motion.time[0]
@@ -157,107 +209,28 @@ def advance(
             return PAUSED
         if motion.count[3] > most_switches:
             return TOO_MANY_SWITCHES
-        h = min(motion.time[1], control.longest, motion.time[4])
-        last = t + 1.01 * h >= stop
-        if last:
-            h = stop - t
-        if h <= 1e-14 * max(t, control.length / control.speed):
-            if last:
+        kind = motion.count[NEXT]
+        if kind == EXPLICIT:
+            h, natural, which = _explicit_step(plant, control, motion, work, stop)
+        else:
+            h, natural, which = _implicit_step(
+                plant, symbolic, tables, control, motion, work, stop, follows
+            )
+        follows = h > 0.0
+        if h == REJECTED:
+            continue
+        if h == AT_ONCE:
+            before = motion.count[3]
+            toggle(plant, motion, which, 1e-12 * plant.rest[which])
+            if motion.count[3] == before:
+                return STEP_TOO_SMALL
+            _start_anew(control, motion)
+            continue
+        if h == TOO_SMALL:
+            if t + natural >= stop:
                 motion.time[0] = stop
                 return REACHED
             return STEP_TOO_SMALL
-        v0, r0 = motion.v, motion.r
-        z[:] = 0.0
-        if motion.time[3] > 0.0 and grown:
-            _guess(tables, motion.z, 1.0, h / motion.time[3], 1.0, z)
-        trial_v[:] = v0
-        trial_r[:] = r0
-        add(trial_v.reshape(-1), 1.0, z[middle].reshape(-1))
-        add(trial_r.reshape(-1), tables.c[middle] * h, trial_v.reshape(-1))
-        jacobian(
-            plant, symbolic.pair, motion.taut, t + tables.c[middle] * h, trial_v, trial_r,
-            by_r, by_v,
-        )
-        newton_matrices(symbolic, tables, h, by_r, by_v, real, cplx)
-        iterations = solve_stages(
-            plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, real, cplx
-        )
-        motion.count[2] += abs(iterations)
-        if iterations < 0:
-            motion.count[1] += 1
-            motion.time[1] = 0.4 * h
-            # Newton's iteration, not the error, bounds the steps here: come near that size slowly.
-            grown, motion.time[4] = False, 0.6 * h
-            continue
-        acceleration(plant, motion.taut, t, v0, r0, f0)
-        error = error_estimate(
-            symbolic, tables, control, h, by_r, f0.reshape(n, 3, 1),
-            v0.reshape(n, 3, 1), z.reshape(s, n, 3, 1), rise.reshape(s, n, 3, 1), real,
-        )
-        factor_of = 0.85 * (control.tolerance / max(error, 1e-300)) ** (1.0 / (s + 1))
-        if not error <= control.tolerance:
-            motion.count[1] += 1
-            motion.time[1] = h * max(0.1, factor_of) if error < np.inf else 0.4 * h
-            grown = False
-            continue
-        fraction, which = 2.0, -1
-        if not plant.bilateral:
-            fraction, which = first_switch(plant, tables, motion.taut, v0, r0, rise)
-        full = h
-        if which >= 0:
-            converged = False
-            for attempt in range(6):
-                target = fraction * full if attempt == 0 else h - excess[which] / growth[which]
-                if not 0.0 < target <= full * (1.0 + 1e-9):
-                    break
-                if target < 1e-10 * full:
-                    break
-                old[:] = z
-                _guess(tables, old, 0.0, target / h, 0.0, z)
-                h = target
-                newton_matrices(symbolic, tables, h, by_r, by_v, real, cplx)
-                iterations = solve_stages(
-                    plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise,
-                    real, cplx,
-                )
-                motion.count[2] += abs(iterations)
-                if iterations < 0:
-                    break
-                trial_v[:] = v0
-                trial_r[:] = r0
-                add(trial_v.reshape(-1), 1.0, z[s - 1].reshape(-1))
-                add(trial_r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
-                stretch(plant, trial_v, trial_r, excess, growth)
-                miss = abs(excess[which])
-                if miss <= 1e-13 * plant.rest[which] or miss <= 1e-15 * full * abs(growth[which]):
-                    converged = True
-                    break
-            if not converged and target < 1e-10 * full:
-                before = motion.count[3]
-                toggle(plant, motion, which, 1e-12 * plant.rest[which])
-                if motion.count[3] == before:
-                    return STEP_TOO_SMALL
-                motion.time[1] = full
-                continue
-            if not converged and iterations < 0:
-                motion.count[1] += 1
-                motion.time[1] = 0.5 * h
-                grown = False
-                continue
-            last = last and h >= full
-        if motion.x_v.shape[2] > 0:
-            error_x = vary(
-                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, by_r,
-                real, cplx, motion.x_v, motion.x_r,
-            )
-            scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
-            if not error_x <= control.tolerance:
-                motion.count[1] += 1
-                motion.time[1] = h * max(0.1, scaled) if error_x < np.inf else 0.4 * h
-                grown = False
-                continue
-            factor_of = min(factor_of, scaled * h / full)
-        grown = True
         made += 1
         motion.count[0] += 1
         for k in range(plant.rest.size):
@@ -265,23 +238,256 @@ def advance(
                 weight = plant.inv_mass[plant.ends[k, 0]] + plant.inv_mass[plant.ends[k, 1]]
                 motion.dissipation[0] += plant.damping[k] * weight * h
         motion.time[2], motion.time[3] = t, h
-        motion.v0[:] = v0
-        motion.r0[:] = r0
-        motion.z[:] = z
-        motion.rise[:] = rise
-        add(motion.v.reshape(-1), 1.0, z[s - 1].reshape(-1))
-        add(motion.r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
-        motion.time[0] = stop if last else t + h
-        motion.time[4] = min(1.2 * motion.time[4], ANY_STEP)
-        if which >= 0 or not last:
-            motion.time[1] = full * min(max(factor_of, 0.1), 8.0)
+        motion.time[0] = stop if t + h >= stop or which < 0 and t + 1.01 * h >= stop else t + h
+        motion.count[LAST] = kind
+        if control.kind == BOTH:
+            _choose(plant, control, motion, work, natural)
         if which >= 0:
             toggle(plant, motion, which, 1e-12 * plant.rest[which])
             motion.time[4] = ANY_STEP
-            motion.time[1] = min(motion.time[1], 0.2 * full)
+            motion.time[1] = min(motion.time[1], 0.2 * natural)
             if motion.taut[which]:
                 i, j = plant.ends[which]
                 weight = plant.inv_mass[i] + plant.inv_mass[j]
                 rate = plant.damping[which] * weight + math.sqrt(plant.stiffness[which] * weight)
                 motion.time[1] = min(motion.time[1], 2.0 / rate)
+            _start_anew(control, motion)
         _sample(plant, tables, motion, times, out_v, out_r)
+
+
+#: Room that steps work in: Newton matrices and Jacobian blocks, stage increments, a trial state,
+#: stretch of the tethers and its rate, and the Taylor series of motion and variations.
+_Work = namedtuple(
+    "_Work", "real cplx by_r by_v z rise old trial_v trial_r excess growth series variations"
+)
+#: Step sizes that say why there was no step: try again, switch first, or none possible.
+REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _start_anew(control, motion):
+    """Forget, after a switch, what spoke for one kind of step or the other."""
+    if control.kind == BOTH:
+        motion.count[NEXT] = EXPLICIT
+        motion.count[DOUBT] = motion.count[HOLD] = motion.count[BACKOFF] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _choose(plant, control, motion, work, natural):
+    """Choose the kind of the next step; `natural` is the size the last one could have had."""
+    count = motion.count
+    rate = _fastest_rate(plant, motion.taut, work.trial_v)
+    bound = math.exp(math.lgamma(control.order + 1.0) / control.order)
+    if count[NEXT] == EXPLICIT:
+        count[HOLD] = max(0, count[HOLD] - 1)
+        count[DOUBT] = count[DOUBT] + 1 if natural * rate > BOUNDED * bound else 0
+        if count[DOUBT] >= 2 and count[HOLD] == 0:
+            count[NEXT], count[DOUBT] = IMPLICIT, 0
+            motion.time[1], motion.time[4] = 3.0 * natural, ANY_STEP
+    else:
+        cost = COST_VARIED if motion.x_r.shape[2] > 0 else COST
+        count[DOUBT] = count[DOUBT] + 1 if motion.time[1] * rate < cost * bound else 0
+        if count[DOUBT] >= 3:
+            count[NEXT], count[DOUBT] = EXPLICIT, 0
+            count[BACKOFF] = min(1024, max(16, 2 * count[BACKOFF]))
+            count[HOLD] = count[BACKOFF]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fastest_rate(plant, taut, sums):
+    """Bound [1/s] of the rates at which taut tethers swing or decay. `sums` is overwritten."""
+    sums[:] = 0.0
+    for k in range(plant.rest.size):
+        if taut[k]:
+            for end in plant.ends[k]:
+                sums[end, 0] += plant.inv_mass[end] * plant.stiffness[k]
+                sums[end, 1] += plant.inv_mass[end] * plant.damping[k]
+    swing = decay = 0.0
+    for k in range(plant.rest.size):
+        if taut[k]:
+            i, j = plant.ends[k, 0], plant.ends[k, 1]
+            swing = max(swing, sums[i, 0] + sums[j, 0])
+            decay = max(decay, sums[i, 1] + sums[j, 1])
+    return max(decay, math.sqrt(swing))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _explicit_step(plant, control, motion, work, stop):
+    """One step by Taylor series, up to the first switch.
+
+    Returns its size, the size it could have had without switch and stop, and the tether that
+    switches at its end or -1.
+    """
+    n, t = motion.r.shape[0], motion.time[0]
+    series, columns = work.series, motion.x_r.shape[2]
+    v, r = work.trial_v, work.trial_r
+    v[:] = motion.v
+    r[:] = motion.r
+    _to_orbit_frame(plant.spin, t, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
+    taylor.expand(plant, motion.taut, v, r, series)
+    natural = min(
+        control.longest,
+        taylor.longest_step(series.r, control.explicit_tolerance, control.length, control.speed),
+    )
+    if columns > 0:
+        _to_orbit_frame(plant.spin, t, motion.x_v, motion.x_r)
+        taylor.expand_variations(
+            plant, motion.taut, series, natural, motion.x_v, motion.x_r, work.variations
+        )
+        natural = min(
+            natural,
+            taylor.longest_step_of_variations(
+                work.variations, control.explicit_tolerance, control.length, control.speed
+            ),
+        )
+    h, which = natural, -1
+    if t + 1.01 * h >= stop:
+        h = stop - t
+    if not plant.bilateral:
+        fraction, which = first_switch_of_series(plant, motion.taut, series.q, h)
+    if which >= 0:
+        full = h
+        h = fraction * full
+        for _ in range(6):
+            if not 1e-10 * full < h <= full * (1.0 + 1e-9):
+                break
+            taylor.evaluate(series.r, h, v, r)
+            stretch(plant, v, r, work.excess, work.growth)
+            miss = abs(work.excess[which])
+            if (
+                miss <= 1e-15 * plant.rest[which]
+                or miss <= 1e-15 * full * abs(work.growth[which])
+            ):
+                break
+            h -= work.excess[which] / work.growth[which]
+        if h < 1e-10 * full:
+            h = AT_ONCE
+        else:
+            h = min(h, full)
+    elif h <= 1e-14 * max(t, control.length / control.speed):
+        h = TOO_SMALL
+    end = h if h > 0.0 else 0.0
+    if columns > 0:
+        if end > 0.0:
+            taylor.evaluate_variations(work.variations, end, motion.x_v, motion.x_r)
+        _to_turning_frame(plant.spin, t + end, motion.x_v, motion.x_r)
+    if end > 0.0:
+        motion.series[:] = series.r
+        taylor.evaluate(series.r, end, motion.v, motion.r)
+        _to_turning_frame(
+            plant.spin, t + end, motion.v.reshape(n, 3, 1), motion.r.reshape(n, 3, 1)
+        )
+    return h, natural, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _implicit_step(plant, symbolic, tables, control, motion, work, stop, follows):
+    """One step by Radau collocation, up to the first switch. Returns as `_explicit_step`.
+
+    `follows` says that the last attempt was a step, so that its polynomial is a good guess.
+    """
+    s, n, t = tables.stages, motion.r.shape[0], motion.time[0]
+    z, rise, v0, r0 = work.z, work.rise, motion.v, motion.r
+    trial_v, trial_r, middle = work.trial_v, work.trial_r, tables.stages // 2
+    h = min(motion.time[1], control.longest, motion.time[4])
+    last = t + 1.01 * h >= stop
+    if last:
+        h = stop - t
+    if h <= 1e-14 * max(t, control.length / control.speed):
+        return TOO_SMALL, 1.01 * min(motion.time[1], control.longest, motion.time[4]), -1
+    z[:] = 0.0
+    if motion.time[3] > 0.0 and follows and motion.count[LAST] == IMPLICIT:
+        _guess(tables, motion.z, 1.0, h / motion.time[3], 1.0, z)
+    trial_v[:] = v0
+    trial_r[:] = r0
+    add(trial_v.reshape(-1), 1.0, z[middle].reshape(-1))
+    add(trial_r.reshape(-1), tables.c[middle] * h, trial_v.reshape(-1))
+    jacobian(
+        plant, symbolic.pair, motion.taut, t + tables.c[middle] * h, trial_v, trial_r,
+        work.by_r, work.by_v,
+    )
+    newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
+    iterations = solve_stages(
+        plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.real, work.cplx
+    )
+    motion.count[2] += abs(iterations)
+    if iterations < 0:
+        motion.count[1] += 1
+        motion.time[1] = 0.4 * h
+        # Newton's iteration, not the error, bounds the steps here: come near that size slowly.
+        motion.time[4] = 0.6 * h
+        return REJECTED, h, -1
+    f0 = trial_v
+    acceleration(plant, motion.taut, t, v0, r0, f0)
+    error = error_estimate(
+        symbolic, tables, control, h, work.by_r, f0.reshape(n, 3, 1), v0.reshape(n, 3, 1),
+        z.reshape(s, n, 3, 1), rise.reshape(s, n, 3, 1), work.real,
+    )
+    growth = 0.85 * (control.tolerance / max(error, 1e-300)) ** (1.0 / (s + 1))
+    if not error <= control.tolerance:
+        motion.count[1] += 1
+        motion.time[1] = h * max(0.1, growth) if error < np.inf else 0.4 * h
+        return REJECTED, h, -1
+    fraction, which = 2.0, -1
+    if not plant.bilateral:
+        fraction, which = first_switch(plant, tables, motion.taut, v0, r0, rise)
+    full = h
+    if which >= 0:
+        converged = False
+        for attempt in range(6):
+            target = h - work.excess[which] / work.growth[which] if attempt else fraction * full
+            if not 0.0 < target <= full * (1.0 + 1e-9):
+                break
+            if target < 1e-10 * full:
+                break
+            work.old[:] = z
+            _guess(tables, work.old, 0.0, target / h, 0.0, z)
+            h = target
+            newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
+            iterations = solve_stages(
+                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise,
+                work.real, work.cplx,
+            )
+            motion.count[2] += abs(iterations)
+            if iterations < 0:
+                break
+            trial_v[:] = v0
+            trial_r[:] = r0
+            add(trial_v.reshape(-1), 1.0, z[s - 1].reshape(-1))
+            add(trial_r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
+            stretch(plant, trial_v, trial_r, work.excess, work.growth)
+            miss = abs(work.excess[which])
+            if (
+                miss <= 1e-15 * plant.rest[which]
+                or miss <= 1e-15 * full * abs(work.growth[which])
+            ):
+                converged = True
+                break
+        if not converged and target < 1e-10 * full:
+            motion.time[1] = full
+            return AT_ONCE, full, which
+        if not converged and iterations < 0:
+            motion.count[1] += 1
+            motion.time[1] = 0.5 * h
+            return REJECTED, h, -1
+    if motion.x_v.shape[2] > 0:
+        error_x = vary(
+            plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.by_r,
+            work.real, work.cplx, motion.x_v, motion.x_r,
+        )
+        scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
+        if not error_x <= control.tolerance:
+            motion.count[1] += 1
+            motion.time[1] = h * max(0.1, scaled) if error_x < np.inf else 0.4 * h
+            return REJECTED, h, -1
+        growth = min(growth, scaled * h / full)
+    motion.v0[:] = v0
+    motion.r0[:] = r0
+    motion.z[:] = z
+    motion.rise[:] = rise
+    add(motion.v.reshape(-1), 1.0, z[s - 1].reshape(-1))
+    add(motion.r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
+    motion.time[4] = min(1.2 * motion.time[4], ANY_STEP)
+    if which >= 0 or not last:
+        motion.time[1] = full * min(max(growth, 0.1), 8.0)
+    return h, full, which

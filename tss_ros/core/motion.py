@@ -5,12 +5,15 @@ import math
 
 import numpy as np
 
-from tss_ros.core import blocklu, collocation, forces, integration, radau
+from tss_ros.core import blocklu, collocation, forces, integration, radau, taylor
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.system import State
 
 #: Collocation stages used by default; the order is 13.
 STAGES = 7
+#: Kinds of integration steps to choose from, as `integration` numbers them: implicit, explicit, or
+#: whichever is cheaper at the time.
+METHODS = ("radau", "taylor", "auto")
 #: Most slack/taut switches in one turn before a motion counts as chattering.
 MOST_SWITCHES_PER_TURN = 20_000
 
@@ -31,7 +34,9 @@ class Flow:
         [m] size of the formation, the scale of errors.
     """
 
-    def __init__(self, system, spin_rate_rad_s, rtol, length_m, dense=False, stages=STAGES):
+    def __init__(
+        self, system, spin_rate_rad_s, rtol, length_m, dense=False, stages=STAGES, method="auto"
+    ):
         if not 1e-13 <= rtol <= 1e-3:
             raise TssError(f"rtol must be from 1e-13 to 1e-3, got {rtol:g}")
         self.system, self.rtol = system, rtol
@@ -42,10 +47,10 @@ class Flow:
         self.turn_s = 2.0 * math.pi / rate
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
         # translation (Hairer and Wanner, RADAU) from the accuracy wanted to the estimate allowed.
-        local = rtol if dense else 0.1 * rtol ** ((stages + 1) / (2 * stages))
+        local = rtol if dense else 0.01 * rtol ** ((stages + 1) / (2 * stages))
         self.control = radau.Control(
             local, max(0.01 * rtol, 1e-15), float(length_m), float(length_m * rate),
-            self.turn_s / 4,
+            self.turn_s / 4, METHODS.index(method), taylor.order_for(rtol), rtol,
         )
 
     def of(self, system):
@@ -68,7 +73,9 @@ class Flow:
             raise TssError("positions and velocities must be finite, got NaN or infinity")
         v[:, 0] += self.plant.spin * r[:, 1]
         v[:, 1] -= self.plant.spin * r[:, 0]
-        return integration.begin(self.plant, self.tables, v, r, columns, 1e-3 * self.turn_s)
+        return integration.begin(
+            self.plant, self.tables, self.control, v, r, columns, 1e-3 * self.turn_s
+        )
 
     def advance(self, motion, stop=math.inf, steps=2**62, times=None, out=None):
         """Call `integration.advance` and turn its failures into errors.

@@ -13,9 +13,12 @@ from numba import njit
 from tss_ros.core.blocklu import factor, solve, solve_columns
 from tss_ros.core.forces import acceleration
 
-#: tolerance: largest estimated local error per step, scaled. accuracy: how far Newton iterations
-#: converge, scaled. length [m], speed [m/s]: the scales. longest [s]: largest step.
-Control = namedtuple("Control", "tolerance accuracy length speed longest")
+#: tolerance: largest estimated local error per implicit step, scaled. accuracy: how far Newton
+#: iterations converge, scaled. length [m], speed [m/s]: the scales. longest [s]: largest step.
+#: kind: which steps are allowed. order, explicit_tolerance: of explicit steps.
+Control = namedtuple(
+    "Control", "tolerance accuracy length speed longest kind order explicit_tolerance"
+)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})

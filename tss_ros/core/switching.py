@@ -18,7 +18,8 @@ def first_zero(coefficient):
     """First point of [0, 1] where a polynomial in Bernstein form becomes negative, or 2.
 
     The polynomial is taken to start at or above zero. The convex hull of the coefficients bounds
-    it, so a piece is passed over only when it provably has no zero.
+    it, so a piece is passed over only when it provably has no zero; where they only fall, there is
+    one, and Newton's method finds it.
 
     Parameters
     ----------
@@ -31,6 +32,7 @@ def first_zero(coefficient):
     count = coefficient.size
     pieces = np.empty((64, count))
     place = np.empty((64, 2))
+    work = np.empty(count)
     pieces[0] = coefficient
     pieces[0, 0] = max(coefficient[0], 0.0)
     place[0] = 0.0, 1.0
@@ -38,25 +40,52 @@ def first_zero(coefficient):
     while depth > 0:
         depth -= 1
         low, width = place[depth]
-        lowest = pieces[depth, 0]
-        for value in pieces[depth]:
-            lowest = min(lowest, value)
+        piece = pieces[depth]
+        lowest, falls = piece[0], piece[0] >= 0.0
+        for i in range(1, count):
+            falls = falls and piece[i] <= piece[i - 1]
+            lowest = min(lowest, piece[i])
         if lowest >= 0.0:
             continue
+        if falls:
+            return low + width * _zero_of_falling(piece, work)
         if width < 1e-10 or depth > 61:
             return low + width
-        left = np.empty(count)
-        work = pieces[depth].copy()
+        left = pieces[depth + 1]
+        work[:] = piece
         for level in range(count):
             left[level] = work[0]
             for i in range(count - 1 - level):
                 work[i] = 0.5 * (work[i] + work[i + 1])
-        pieces[depth] = work
+            piece[count - 1 - level] = work[count - 1 - level]
         place[depth] = low + 0.5 * width, 0.5 * width
-        pieces[depth + 1] = left
         place[depth + 1] = low, 0.5 * width
         depth += 2
     return 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _zero_of_falling(coefficient, work):
+    """The zero in [0, 1] of a polynomial whose Bernstein coefficients fall through zero."""
+    low, high, degree = 0.0, 1.0, coefficient.size - 1
+    x = coefficient[0] / (coefficient[0] - coefficient[degree])
+    for _ in range(60):
+        work[:] = coefficient
+        for level in range(degree - 1):
+            for i in range(degree - level):
+                work[i] += x * (work[i + 1] - work[i])
+        slope = work[1] - work[0]
+        value = work[0] + x * slope
+        if value >= 0.0:
+            low = x
+        else:
+            high = x
+        before, x = x, x - value / (degree * slope) if slope < 0.0 else 0.5 * (low + high)
+        if not low <= x <= high:
+            x = 0.5 * (low + high)
+        if abs(x - before) <= 1e-15:
+            break
+    return x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -85,6 +114,42 @@ def first_switch(plant, tables, taut, v0, r0, rise):
                 total += tables.bernstein[i, j] * sample[j, k]
             coefficient[i] = sign * total
             lowest = min(lowest, coefficient[i])
+        if lowest < 0.0:
+            zero = first_zero(coefficient)
+            if zero < earliest:
+                earliest, which = zero, k
+    return earliest, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_switch_of_series(plant, taut, q, h):
+    """The same for a step h [s] of Taylor series q (m,N+1) of squared lengths."""
+    order = q.shape[1] - 1
+    earliest, which = 2.0, -1
+    for k in range(plant.rest.size):
+        sign = 1.0 if taut[k] else -1.0
+        length = math.sqrt(q[k, 0])
+        start = sign * (length - plant.rest[k]) * (length + plant.rest[k])
+        change, power = 0.0, 1.0
+        for i in range(1, order + 1):
+            power *= h
+            change += abs(q[k, i]) * power
+        if start > change:
+            continue
+        # From powers of time to Bernstein form, by summing up differences.
+        coefficient = np.empty(order + 1)
+        power, choose = 1.0, 1.0
+        coefficient[0] = start
+        for i in range(1, order + 1):
+            power *= h
+            choose *= (order - i + 1) / i
+            coefficient[i] = sign * q[k, i] * power / choose
+        for level in range(1, order + 1):
+            for i in range(order, level - 1, -1):
+                coefficient[i] += coefficient[i - 1]
+        lowest = np.inf
+        for value in coefficient:
+            lowest = min(lowest, value)
         if lowest < 0.0:
             zero = first_zero(coefficient)
             if zero < earliest:
