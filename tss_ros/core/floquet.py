@@ -11,15 +11,13 @@ from tss_ros.core.certificate import convergence_error, liouville_error, segment
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.families import FAMILIES, label
 from tss_ros.core.motion import Flow
-from tss_ros.core.periodic import closure_residual, corrected, to_scaled, turn
+from tss_ros.core.periodic import CLOSED, closure, corrected, to_scaled, turn
 from tss_ros.core.steady_state import averaged_state, initial_state, rotating
 from tss_ros.core.system import State
 
 METHODS = ("monodromy", "frozen")
 VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion")
 
-#: Largest scaled closure residual of a motion that is still called periodic.
-LARGEST_CLOSURE = 1e-3
 #: Smallest distance from the unit circle that is ever called one.
 SMALLEST_TOLERANCE = 1e-6
 #: Smallest distance from 1 within which a multiplier may be part of a split Jordan block.
@@ -150,35 +148,37 @@ def compute_floquet(
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    origin = "the given state"
-    if state is None:
-        try:
-            state = initial_state(system, spin_rate_ratio)
-        except NoSteadyState as error:
-            state = State(system.layout_m, rotating(system.layout_m, spin))
-            return _nothing(method, system, spin, state, str(error))
-        origin = state.origin
-    starts = [(state, origin)]
-    length = np.max(np.linalg.norm(state.position_m, axis=1))
-    flow = Flow(system, spin, rtol, length)
+    given = state is not None
+    try:
+        start = state if given else initial_state(system, spin_rate_ratio)
+    except NoSteadyState as error:
+        state = State(system.layout_m, rotating(system.layout_m, spin))
+        return _nothing(method, system, spin, state, str(error))
+    flow = Flow(system, spin, rtol, np.max(np.linalg.norm(start.position_m, axis=1)))
     if method == "frozen":
-        return _frozen(flow, *starts[0], *closure_residual(flow, state, cancelled))
-    latest, failure = None, ""
-    for state, origin in starts:
-        try:
-            found = (corrected if correct else turn)(flow, state, cancelled)
-            if latest is None or found.closure_residual < latest.closure_residual:
-                latest, initial, source = found, state, origin
-        except IntegrationError as error:
-            failure = str(error)
-        closed = latest is not None and latest.closure_residual <= LARGEST_CLOSURE
-        if correct and not closed and origin.startswith("Eq"):
-            with contextlib.suppress(NoSteadyState):
-                other = averaged_state(system, spin_rate_ratio)
-                starts.append((other, other.origin))
-    if latest is None:
-        return _nothing(method, system, spin, starts[0][0], failure)
-    return _judge(flow, latest, initial, source, correct, certify, cancelled)
+        residual, switches = closure(flow, start, cancelled)
+        return _frozen(flow, start, float(np.linalg.norm(residual)), switches)
+    try:
+        if correct:
+            starts = _starts(system, spin_rate_ratio, start, given)
+            latest, start = corrected(flow, starts, cancelled)
+        else:
+            latest = turn(flow, start, cancelled)
+    except IntegrationError as error:
+        return _nothing(method, system, spin, start, str(error))
+    return _judge(flow, latest, start, correct, certify, cancelled)
+
+
+def _starts(system, spin_rate_ratio, first, given):
+    """The start, and where it is the paper's also the averaged one, should the first not do."""
+    yield first
+    if not given and first.origin.startswith("Eq"):
+        with contextlib.suppress(NoSteadyState):
+            yield averaged_state(system, spin_rate_ratio)
+
+
+def _origin(start):
+    return getattr(start, "origin", "") or "the given state"
 
 
 def _nothing(method, system, spin, state, reason):
@@ -190,8 +190,8 @@ def _nothing(method, system, spin, state, reason):
     )
 
 
-def _judge(flow, latest, initial, origin, correct, certify, cancelled):
-    initial_closure, _ = closure_residual(flow, initial, cancelled)
+def _judge(flow, latest, initial, correct, certify, cancelled):
+    initial_closure = float(np.linalg.norm(closure(flow, initial, cancelled)[0]))
     multiplier, vectors = np.linalg.eig(latest.matrix)
     family = label(flow.system, latest.start, multiplier, vectors)
     on_circle = np.abs(np.abs(multiplier) - 1.0)
@@ -199,13 +199,13 @@ def _judge(flow, latest, initial, origin, correct, certify, cancelled):
     far_from_one = centre[np.argsort(-np.abs(multiplier[centre] - 1.0))]
     trivial = float(np.max(on_circle[far_from_one[:4]]))
     jordan = float(np.max(on_circle[np.append(far_from_one[4:], np.flatnonzero(family == "spin"))]))
-    closure = latest.closure_residual
-    drift = max(SMALLEST_DRIFT, 2.0 * math.sqrt(closure))
+    residual = latest.closure_residual
+    drift = max(SMALLEST_DRIFT, 2.0 * math.sqrt(residual))
     tolerance = np.where(
         np.abs(multiplier - 1.0) <= drift, max(SMALLEST_TOLERANCE, 3.0 * jordan), 0.0
     )
     tolerance = np.maximum(tolerance, max(SMALLEST_TOLERANCE, 10.0 * trivial))
-    periodic = closure <= LARGEST_CLOSURE or not correct
+    periodic = residual <= CLOSED or not correct
     proofs = {}
     if certify:
 
@@ -219,7 +219,7 @@ def _judge(flow, latest, initial, origin, correct, certify, cancelled):
         }
     return _result(
         "monodromy", flow, multiplier, family, tolerance, periodic, jordan > drift,
-        closure_residual=closure,
+        closure_residual=residual,
         initial_closure_residual=initial_closure,
         trivial_error=trivial,
         jordan_error=jordan,
@@ -227,13 +227,13 @@ def _judge(flow, latest, initial, origin, correct, certify, cancelled):
         flow_error=_flow_error(latest),
         switches=latest.switches,
         state=latest.start,
-        message=_remark(origin, initial_closure, latest, correct, periodic, tolerance),
+        message=_remark(initial, initial_closure, latest, correct, periodic, tolerance),
         **proofs,
     )
 
 
-def _remark(origin, initial_closure, latest, correct, periodic, tolerance):
-    words = f"start from {origin}"
+def _remark(initial, initial_closure, latest, correct, periodic, tolerance):
+    words = f"start from {_origin(initial)}"
     if correct:
         words += f", corrected from closure residual {initial_closure:.1e}"
     if latest.switches:
@@ -248,7 +248,7 @@ def _remark(origin, initial_closure, latest, correct, periodic, tolerance):
     return words
 
 
-def _frozen(flow, state, origin, closure, switches):
+def _frozen(flow, state, residual, switches):
     """Eqs. (34)-(47): the multipliers are exp(lambda T) for the eigenvalues lambda of J_0.
 
     A defective J_0 (43)-(45) only changes the vectors: P(T) still has these eigenvalues.
@@ -260,15 +260,15 @@ def _frozen(flow, state, origin, closure, switches):
     family = label(flow.system, state, multiplier, vectors)
     return _result(
         "frozen", flow, multiplier, family, np.full(multiplier.size, 1e-3), True, False,
-        closure_residual=closure,
-        initial_closure_residual=closure,
+        closure_residual=residual,
+        initial_closure_residual=residual,
         trivial_error=math.nan,
         jordan_error=math.nan,
         det_z_error=math.nan,
         flow_error=math.nan,
         switches=switches,
         state=state,
-        message=f"start from {origin}; a turning configuration treated as if it stood still,"
+        message=f"start from {_origin(state)}; a turning configuration treated as if it stood still,"
         " its verdict says little about the motion",
     )
 

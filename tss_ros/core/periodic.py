@@ -1,5 +1,6 @@
 """Variations over one turn and the correction of a start to a periodic motion by shooting."""
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 
@@ -13,8 +14,13 @@ from tss_ros.core.system import State
 #: Directions in which one turn changes a displacement by less than this are not corrected: they
 #: are the phases and rates that theory leaves free (multipliers 1 in Jordan blocks).
 FREE_DIRECTION = 1e-2
-#: Residual of a part of a turn from which on the whole turn is not corrected again.
-NEARLY_CLOSED = 1e-3
+#: Largest scaled closure residual of a motion that is still called periodic.
+CLOSED = 1e-3
+#: A correction must leave at most this share of the residual to be taken, and at most the smaller
+#: one for the matrix to serve again; it is not tried if it aims at less than the smallest.
+WORTH_IT, STILL_SERVES, NOTHING_LEFT = 0.9, 0.5, 0.05
+#: Most corrections of one start.
+MOST_CORRECTIONS = 24
 #: Most integration steps of a turn; six slack beads at slow spin need some 2000.
 MOST_STEPS = 50_000
 
@@ -143,18 +149,17 @@ def seed_variations(motion, scale):
     motion.x_r[:] = (np.eye(half, 2 * half, half) * scale[half:, None]).reshape(motion.x_r.shape)
 
 
-def closure_residual(flow, state, cancelled=None):
-    """|x(T) - x(0)| of a start, scaled as in `Turn`, from the motion alone, and its switches.
+def closure(flow, state, cancelled=None, symmetry=None):
+    """x(T) - x(0) of a start, scaled as in `Turn`, from the motion alone, and its switches.
 
     Parameters
     ----------
-    flow : Flow
-    state : State
-    cancelled : callable, optional
+    flow, state, cancelled, symmetry
+        As for `turn`.
 
     Returns
     -------
-    residual : float
+    residual : ndarray, shape (6n,)
     switches : int
 
     Raises
@@ -163,13 +168,15 @@ def closure_residual(flow, state, cancelled=None):
         As `turn`.
     """
     motion = flow.begin(state)
-    period = 2.0 * math.pi / abs(flow.plant.spin)
+    period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     while not flow.advance(motion, period, steps=500):
         _look(motion, period, cancelled)
     x = np.concatenate(
         [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
     )
-    return float(np.linalg.norm(x - to_scaled(flow, state))), int(motion.count[3])
+    if symmetry:
+        x = symmetry.back(flow.plant.spin < 0.0, x)
+    return x - to_scaled(flow, state), int(motion.count[3])
 
 
 def _look(motion, period, cancelled):
@@ -183,45 +190,60 @@ def _look(motion, period, cancelled):
         )
 
 
-def corrected(flow, state, cancelled=None, iterations=8):
-    """Shoot for the periodic motion next to `state`, or the one of least residual.
+def corrected(flow, starts, cancelled=None):
+    """Shoot for the periodic motion next to the first start that leads to one.
 
     Where equal satellites make the formation symmetric, a part of the turn is shot for first: that
     is cheaper and keeps the motion symmetric. With damping no motion with varying lengths closes
-    exactly (the Jacobi energy falls); the iteration then stops where the residual no longer falls.
-    Weakly damped tethers ring for many turns when started off their slow motion, so these are
-    first corrected with added damping.
+    exactly (the Jacobi energy falls); the iteration then stops where only directions are left that
+    theory leaves free. Weakly damped tethers ring for many turns when started off their slow
+    motion, so these are first corrected with added damping.
 
     Parameters
     ----------
     flow : Flow
-    state : State
+    starts : iterable of State
+        Tried in this order, at least one.
     cancelled : callable, optional
-    iterations : int
-        Most corrections.
 
     Returns
     -------
-    Turn
-        The turn of least residual found; its residual says whether it is periodic.
+    turn : Turn
+        That of least residual; its residual says whether it is periodic.
+    start : State
+        The one that led to it.
 
     Raises
     ------
     IntegrationError
-        If not even the first turn could be integrated.
+        If no turn could be integrated from any start.
     Cancelled
         If `cancelled` said so.
     """
     symmetry = cyclic_symmetry(flow.system)
     symmetry = symmetry if symmetry.order > 1 else None
     calm = _with_enough_damping(flow.system)
-    if calm is not flow.system:
-        state = _shoot(flow.of(calm), state, cancelled, iterations, symmetry).start
-    if symmetry:
-        best = _shoot(flow, state, cancelled, iterations, symmetry)
-        if best.closure_residual <= NEARLY_CLOSED:
-            state = best.start
-    return _shoot(flow, state, cancelled, iterations)
+    best, failure = None, None
+    for start in starts:
+        try:
+            state = start
+            if calm is not flow.system:
+                state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
+            shot = _Shot(flow, state, cancelled, symmetry).improve()
+            if symmetry and shot.residual <= CLOSED:
+                matrix = np.linalg.matrix_power(shot.matrix, symmetry.order)
+                shot = _Shot(flow, shot.state, cancelled, None, matrix).improve()
+        except IntegrationError as error:
+            failure = failure or error
+            continue
+        if best is None or shot.residual < best[0].residual:
+            best = shot, start
+        if shot.residual <= CLOSED:
+            break
+    if best is None:
+        raise failure
+    shot, start = best
+    return (shot.turn if shot.turn and not shot.symmetry else turn(flow, shot.state, cancelled)), start
 
 
 def _with_enough_damping(system):
@@ -236,21 +258,56 @@ def _with_enough_damping(system):
     )
 
 
-def _shoot(flow, state, cancelled, iterations, symmetry=None):
-    latest = best = turn(flow, state, cancelled, symmetry=symmetry)
-    for _ in range(iterations):
-        u, s, vt = np.linalg.svd(latest.matrix - np.eye(latest.closure.size))
+class _Shot:
+    """A start that is improved by Newton's method, with matrices used for as long as they serve."""
+
+    def __init__(self, flow, state, cancelled, symmetry, matrix=None):
+        self.flow, self.state, self.cancelled, self.symmetry = flow, state, cancelled, symmetry
+        self.matrix, self.turn = matrix, None
+        if matrix is None:
+            self._renew()
+        else:
+            self.closure, _ = closure(flow, state, cancelled, symmetry)
+
+    @property
+    def residual(self):
+        return float(np.linalg.norm(self.closure))
+
+    def _renew(self):
+        self.turn = turn(self.flow, self.state, self.cancelled, symmetry=self.symmetry)
+        self.matrix, self.closure = self.turn.matrix, self.turn.closure
+
+    def improve(self):
+        """Correct the start as far as it goes; returns itself."""
+        with contextlib.suppress(IntegrationError):
+            for _ in range(MOST_CORRECTIONS):
+                change, share = self._correction()
+                if share < NOTHING_LEFT or self.residual < 1e-12:
+                    break
+                gain = self._try(change)
+                if gain > STILL_SERVES:
+                    if gain > WORTH_IT and self.turn:
+                        break
+                    self._renew()
+        return self
+
+    def _correction(self):
+        """Change of the scaled start, and the share of the residual that it is meant to remove."""
+        u, s, vt = np.linalg.svd(self.matrix - np.eye(self.closure.size))
         bound = s > FREE_DIRECTION
-        change = -(vt[bound].T @ ((u[:, bound].T @ latest.closure) / s[bound]))
-        change *= min(1.0, 0.2 / max(np.max(np.abs(change)), 1e-300))
-        state = from_scaled(flow, to_scaled(flow, latest.start) + change)
+        aim = u[:, bound].T @ self.closure
+        change = -(vt[bound].T @ (aim / s[bound]))
+        share = np.linalg.norm(aim) / max(self.residual, 1e-300)
+        return change * min(1.0, 0.2 / max(np.max(np.abs(change)), 1e-300)), share
+
+    def _try(self, change):
+        """Move the start if that makes the residual smaller; returns by what factor it would."""
+        state = from_scaled(self.flow, to_scaled(self.flow, self.state) + change)
         try:
-            latest = turn(flow, state, cancelled, symmetry=symmetry)
+            after, _ = closure(self.flow, state, self.cancelled, self.symmetry)
         except IntegrationError:
-            break
-        gain = latest.closure_residual / best.closure_residual
-        if gain < 1.0:
-            best = latest
-        if gain > 0.9 or best.closure_residual < 1e-12:
-            break
-    return best
+            return math.inf
+        gain = np.linalg.norm(after) / self.residual
+        if gain <= WORTH_IT:
+            self.state, self.closure, self.turn = state, after, None
+        return gain
