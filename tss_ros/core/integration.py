@@ -247,8 +247,8 @@ def advance(
             last = last and h >= full
         if motion.x_v.shape[2] > 0:
             error_x = vary(
-                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, by_r,
-                real, cplx, motion.x_v, motion.x_r,
+                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, by_r, real,
+                motion.x_v, motion.x_r,
             )
             scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
             if not error_x <= control.tolerance:

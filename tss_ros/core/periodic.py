@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.errors import IntegrationError
+from tss_ros.core.linear_flow import carry, look
 from tss_ros.core.motion import Flow
 from tss_ros.core.symmetry import cyclic_symmetry
 from tss_ros.core.system import State
@@ -15,8 +16,6 @@ from tss_ros.core.system import State
 FREE_DIRECTION = 1e-2
 #: Residual of a part of a turn from which on the whole turn is not corrected again.
 NEARLY_CLOSED = 1e-3
-#: Most integration steps of a turn; six slack beads at slow spin need some 2000.
-MOST_STEPS = 50_000
 
 
 @dataclass(frozen=True)
@@ -101,24 +100,13 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
         If `cancelled` said so.
     """
     half = 3 * flow.system.n
-    motion = flow.begin(state, 2 * half)
     scale = np.repeat([flow.control.speed, flow.control.length], half)
-    matrix = np.eye(2 * half)
-    # Steps between two looks at `cancelled`: large systems take a tenth of a second for one.
-    slice_ = min(50, max(2, 5000 // flow.system.n**2))
+    motion, matrix = flow.begin(state), np.eye(2 * half)
     period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     for segment in range(segments):
-        seed_variations(motion, scale)
-        while not flow.advance(motion, period * (segment + 1) / segments, steps=slice_):
-            _look(motion, period, cancelled)
-            if (growth := np.max(np.abs(motion.x_v)) / flow.control.speed) > 1.0 / flow.rtol:
-                raise IntegrationError(
-                    f"the motion is chaotic: variations grew {growth:.0e} times until"
-                    f" {motion.time[0]:.6g} s of a turn of {period:.6g} s, after"
-                    f" {motion.count[3]} slack/taut switches"
-                )
-        part = np.concatenate([motion.x_v, motion.x_r]).reshape(2 * half, 2 * half)
-        matrix = (part / scale[:, None]) @ matrix
+        stop = period * (segment + 1) / segments
+        motion, part = carry(flow, motion, np.eye(2 * half), stop, cancelled)
+        matrix = part @ matrix
     x = np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
     if symmetry:
         x, matrix = (symmetry.back(flow.plant.spin < 0.0, part) for part in (x, matrix))
@@ -126,21 +114,6 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
         state, from_scaled(flow, x), matrix, x - to_scaled(flow, state), int(motion.count[3]),
         int(motion.count[0]), float(motion.dissipation[0]), flow,
     )
-
-
-def seed_variations(motion, scale):
-    """Set the variations of a `integration.Motion` to unit displacements in scaled coordinates.
-
-    Parameters
-    ----------
-    motion : integration.Motion
-        With 6n columns.
-    scale : ndarray, shape (6n,)
-        Units of velocity [m/s], then of position [m].
-    """
-    half = scale.size // 2
-    motion.x_v[:] = (np.eye(half, 2 * half) * scale[:half, None]).reshape(motion.x_v.shape)
-    motion.x_r[:] = (np.eye(half, 2 * half, half) * scale[half:, None]).reshape(motion.x_r.shape)
 
 
 def closure_residual(flow, state, cancelled=None):
@@ -165,22 +138,11 @@ def closure_residual(flow, state, cancelled=None):
     motion = flow.begin(state)
     period = 2.0 * math.pi / abs(flow.plant.spin)
     while not flow.advance(motion, period, steps=500):
-        _look(motion, period, cancelled)
+        look(motion, period, cancelled)
     x = np.concatenate(
         [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
     )
     return float(np.linalg.norm(x - to_scaled(flow, state))), int(motion.count[3])
-
-
-def _look(motion, period, cancelled):
-    """Stop a turn that is cancelled, or that takes more steps than any motion worth a matrix."""
-    if cancelled is not None and cancelled():
-        raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
-    if motion.count[0] > MOST_STEPS:
-        raise IntegrationError(
-            f"more than {MOST_STEPS} steps until {motion.time[0]:.6g} s of a turn of"
-            f" {period:.6g} s, with {motion.count[3]} slack/taut switches"
-        )
 
 
 def corrected(flow, state, cancelled=None, iterations=8):
