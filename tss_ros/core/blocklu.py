@@ -191,3 +191,61 @@ def solve_columns(symbolic, factored, b):
             y0, y1, y2 = y[0, c], y[1, c], y[2, c]
             for row in range(3):
                 y[row, c] = inverse[row, 0] * y0 + inverse[row, 1] * y1 + inverse[row, 2] * y2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def factor_wide(symbolic, matrix):
+    """`factor` for blocks of any width.
+
+    Parameters
+    ----------
+    symbolic : Symbolic
+    matrix : ndarray, shape (blocks, w, w)
+    """
+    product = np.empty(matrix.shape[1:])
+    for k in range(symbolic.order.size):
+        inverse = matrix[symbolic.order[k]]
+        inverse[:] = np.linalg.inv(inverse)
+        first, last = symbolic.start[k], symbolic.start[k + 1]
+        for p in range(first, last):
+            low = matrix[symbolic.lower[p]]
+            np.dot(low, inverse, product)
+            low[:] = product
+            goal = symbolic.target_start[k] + (p - first) * (last - first)
+            for q in range(first, last):
+                np.dot(low, matrix[symbolic.upper[q]], product)
+                _subtract(matrix[symbolic.target[goal + q - first]], product)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_wide(symbolic, factored, b):
+    """`solve_columns` for blocks of any width.
+
+    Parameters
+    ----------
+    symbolic : Symbolic
+    factored : ndarray, shape (blocks, w, w)
+    b : ndarray, shape (n, w, columns)
+        Right-hand sides on entry, solutions on return.
+    """
+    beads = symbolic.order.size
+    product = np.empty(b.shape[1:])
+    for k in range(beads):
+        for p in range(symbolic.start[k], symbolic.start[k + 1]):
+            np.dot(factored[symbolic.lower[p]], b[symbolic.order[k]], product)
+            _subtract(b[symbolic.neighbour[p]], product)
+    for k in range(beads - 1, -1, -1):
+        y = b[symbolic.order[k]]
+        for p in range(symbolic.start[k], symbolic.start[k + 1]):
+            np.dot(factored[symbolic.upper[p]], b[symbolic.neighbour[p]], product)
+            _subtract(y, product)
+        np.dot(factored[symbolic.order[k]], y, product)
+        y[:] = product
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _subtract(y, x):
+    """y -= x; plain loops compile several times faster than array differences."""
+    for i in range(y.shape[0]):
+        for c in range(y.shape[1]):
+            y[i, c] -= x[i, c]

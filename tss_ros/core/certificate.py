@@ -6,8 +6,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.linear_flow import carry
 from tss_ros.core.motion import Flow
-from tss_ros.core.periodic import seed_variations, turn
+from tss_ros.core.periodic import turn
 
 #: Parts the turn is cut into beside the whole.
 SEGMENTS = (3, 7)
@@ -83,7 +84,6 @@ def liouville_error(latest, cancelled=None):
     # The fastest mode may decay a little more than once in a step; that is what limits the length.
     width = min(period / SPREAD, DECAY / max(np.sum(rates), 1e-300))
     half = 3 * flow.system.n
-    scale = np.repeat([flow.control.speed, flow.control.length], half)
     motion = flow.begin(latest.start)
     worst = 0.0
     for begin in _stretches(latest, period, width):
@@ -92,14 +92,8 @@ def liouville_error(latest, cancelled=None):
         if begin > motion.time[0]:
             flow.advance(motion, begin)
         before = float(motion.dissipation[0])
-        part = type(motion)(*map(np.array, motion))
-        part = part._replace(
-            x_v=np.empty((*motion.v.shape, 2 * half)), x_r=np.empty((*motion.r.shape, 2 * half))
-        )
-        seed_variations(part, scale)
-        flow.advance(part, min(begin + width, period))
-        matrix = np.concatenate([part.x_v, part.x_r]).reshape(2 * half, 2 * half)
-        logarithm = np.linalg.slogdet(matrix / scale[:, None])[1]
+        part, matrix = carry(flow, motion, np.eye(2 * half), min(begin + width, period))
+        logarithm = np.linalg.slogdet(matrix)[1]
         worst = max(worst, abs(logarithm + float(part.dissipation[0]) - before))
     return worst
 

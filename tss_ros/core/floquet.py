@@ -268,8 +268,8 @@ def _frozen(flow, state, residual, switches):
         flow_error=math.nan,
         switches=switches,
         state=state,
-        message=f"start from {_origin(state)}; a turning configuration treated as if it stood still,"
-        " its verdict says little about the motion",
+        message=f"start from {_origin(state)}; a turning configuration treated as if it stood"
+        " still, its verdict says little about the motion",
     )
 
 

@@ -360,10 +360,7 @@ def _explicit_step(plant, control, motion, work, stop):
             ):
                 break
             h -= work.excess[which] / work.growth[which]
-        if h < 1e-10 * full:
-            h = AT_ONCE
-        else:
-            h = min(h, full)
+        h = AT_ONCE if h < 1e-10 * full else min(h, full)
     elif h <= 1e-14 * max(t, control.length / control.speed):
         h = TOO_SMALL
     end = h if h > 0.0 else 0.0
@@ -473,7 +470,7 @@ def _implicit_step(plant, symbolic, tables, control, motion, work, stop, follows
     if motion.x_v.shape[2] > 0:
         error_x = vary(
             plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.by_r,
-            work.real, work.cplx, motion.x_v, motion.x_r,
+            work.real, motion.x_v, motion.x_r,
         )
         scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
         if not error_x <= control.tolerance:

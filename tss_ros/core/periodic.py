@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.errors import IntegrationError
+from tss_ros.core.linear_flow import carry, look
 from tss_ros.core.motion import Flow
 from tss_ros.core.symmetry import cyclic_symmetry
 from tss_ros.core.system import State
@@ -21,8 +22,6 @@ CLOSED = 1e-3
 WORTH_IT, STILL_SERVES, NOTHING_LEFT = 0.9, 0.5, 0.05
 #: Most corrections of one start.
 MOST_CORRECTIONS = 24
-#: Most integration steps of a turn; six slack beads at slow spin need some 2000.
-MOST_STEPS = 50_000
 
 
 @dataclass(frozen=True)
@@ -107,24 +106,13 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
         If `cancelled` said so.
     """
     half = 3 * flow.system.n
-    motion = flow.begin(state, 2 * half)
     scale = np.repeat([flow.control.speed, flow.control.length], half)
-    matrix = np.eye(2 * half)
-    # Steps between two looks at `cancelled`: large systems take a tenth of a second for one.
-    slice_ = min(50, max(2, 5000 // flow.system.n**2))
+    motion, matrix = flow.begin(state), np.eye(2 * half)
     period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     for segment in range(segments):
-        seed_variations(motion, scale)
-        while not flow.advance(motion, period * (segment + 1) / segments, steps=slice_):
-            _look(motion, period, cancelled)
-            if (growth := np.max(np.abs(motion.x_v)) / flow.control.speed) > 1.0 / flow.rtol:
-                raise IntegrationError(
-                    f"the motion is chaotic: variations grew {growth:.0e} times until"
-                    f" {motion.time[0]:.6g} s of a turn of {period:.6g} s, after"
-                    f" {motion.count[3]} slack/taut switches"
-                )
-        part = np.concatenate([motion.x_v, motion.x_r]).reshape(2 * half, 2 * half)
-        matrix = (part / scale[:, None]) @ matrix
+        stop = period * (segment + 1) / segments
+        motion, part = carry(flow, motion, np.eye(2 * half), stop, cancelled)
+        matrix = part @ matrix
     x = np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
     if symmetry:
         x, matrix = (symmetry.back(flow.plant.spin < 0.0, part) for part in (x, matrix))
@@ -132,21 +120,6 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
         state, from_scaled(flow, x), matrix, x - to_scaled(flow, state), int(motion.count[3]),
         int(motion.count[0]), float(motion.dissipation[0]), flow,
     )
-
-
-def seed_variations(motion, scale):
-    """Set the variations of a `integration.Motion` to unit displacements in scaled coordinates.
-
-    Parameters
-    ----------
-    motion : integration.Motion
-        With 6n columns.
-    scale : ndarray, shape (6n,)
-        Units of velocity [m/s], then of position [m].
-    """
-    half = scale.size // 2
-    motion.x_v[:] = (np.eye(half, 2 * half) * scale[:half, None]).reshape(motion.x_v.shape)
-    motion.x_r[:] = (np.eye(half, 2 * half, half) * scale[half:, None]).reshape(motion.x_r.shape)
 
 
 def closure(flow, state, cancelled=None, symmetry=None):
@@ -170,24 +143,13 @@ def closure(flow, state, cancelled=None, symmetry=None):
     motion = flow.begin(state)
     period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
     while not flow.advance(motion, period, steps=500):
-        _look(motion, period, cancelled)
+        look(motion, period, cancelled)
     x = np.concatenate(
         [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
     )
     if symmetry:
         x = symmetry.back(flow.plant.spin < 0.0, x)
     return x - to_scaled(flow, state), int(motion.count[3])
-
-
-def _look(motion, period, cancelled):
-    """Stop a turn that is cancelled, or that takes more steps than any motion worth a matrix."""
-    if cancelled is not None and cancelled():
-        raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
-    if motion.count[0] > MOST_STEPS:
-        raise IntegrationError(
-            f"more than {MOST_STEPS} steps until {motion.time[0]:.6g} s of a turn of"
-            f" {period:.6g} s, with {motion.count[3]} slack/taut switches"
-        )
 
 
 def corrected(flow, starts, cancelled=None):
@@ -231,8 +193,7 @@ def corrected(flow, starts, cancelled=None):
                 state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
             shot = _Shot(flow, state, cancelled, symmetry).improve()
             if symmetry and shot.residual <= CLOSED:
-                matrix = np.linalg.matrix_power(shot.matrix, symmetry.order)
-                shot = _Shot(flow, shot.state, cancelled, None, matrix).improve()
+                shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot).improve()
         except IntegrationError as error:
             failure = failure or error
             continue
@@ -243,7 +204,8 @@ def corrected(flow, starts, cancelled=None):
     if best is None:
         raise failure
     shot, start = best
-    return (shot.turn if shot.turn and not shot.symmetry else turn(flow, shot.state, cancelled)), start
+    whole = None if shot.symmetry else shot.turn
+    return whole or turn(flow, shot.state, cancelled), start
 
 
 def _with_enough_damping(system):
@@ -261,13 +223,16 @@ def _with_enough_damping(system):
 class _Shot:
     """A start that is improved by Newton's method, with matrices used for as long as they serve."""
 
-    def __init__(self, flow, state, cancelled, symmetry, matrix=None):
+    def __init__(self, flow, state, cancelled, symmetry, whole_of=None):
         self.flow, self.state, self.cancelled, self.symmetry = flow, state, cancelled, symmetry
-        self.matrix, self.turn = matrix, None
-        if matrix is None:
+        self.turn = None
+        if whole_of is None:
             self._renew()
         else:
-            self.closure, _ = closure(flow, state, cancelled, symmetry)
+            parts = whole_of.symmetry.order
+            self.matrix = np.linalg.matrix_power(whole_of.matrix, parts)
+            self.matrix_switches = parts * whole_of.matrix_switches
+            self.closure, self.switches = closure(flow, state, cancelled)
 
     @property
     def residual(self):
@@ -276,11 +241,14 @@ class _Shot:
     def _renew(self):
         self.turn = turn(self.flow, self.state, self.cancelled, symmetry=self.symmetry)
         self.matrix, self.closure = self.turn.matrix, self.turn.closure
+        self.switches = self.matrix_switches = self.turn.switches
 
     def improve(self):
         """Correct the start as far as it goes; returns itself."""
         with contextlib.suppress(IntegrationError):
             for _ in range(MOST_CORRECTIONS):
+                if self.switches != self.matrix_switches:
+                    self._renew()
                 change, share = self._correction()
                 if share < NOTHING_LEFT or self.residual < 1e-12:
                     break
@@ -304,10 +272,10 @@ class _Shot:
         """Move the start if that makes the residual smaller; returns by what factor it would."""
         state = from_scaled(self.flow, to_scaled(self.flow, self.state) + change)
         try:
-            after, _ = closure(self.flow, state, self.cancelled, self.symmetry)
+            after, switches = closure(self.flow, state, self.cancelled, self.symmetry)
         except IntegrationError:
             return math.inf
         gain = np.linalg.norm(after) / self.residual
-        if gain <= WORTH_IT:
-            self.state, self.closure, self.turn = state, after, None
+        if gain <= (WORTH_IT if switches >= self.switches else 1.0):
+            self.state, self.closure, self.switches, self.turn = state, after, switches, None
         return gain

@@ -11,10 +11,10 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-#: Taylor coefficients by powers of time since the start of the step, N being the order. r (n,3,N+1):
-#: positions. e (m,3,N+1), q (m,N+1): vectors along tethers and their squared lengths; where taut
-#: also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f (n,N+1): gravity's
-#: distance variable and factor as in `forces.acceleration`.
+#: Taylor coefficients by powers of time since the start of the step, up to N, the order. r
+#: (n,3,N+1): positions. e (m,3,N+1), q (m,N+1): vectors along tethers and their squared lengths;
+#: where taut also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f
+#: (n,N+1): gravity's distance variable and factor as in `forces.acceleration`.
 Series = namedtuple("Series", "r e q d g p u f")
 
 
@@ -206,7 +206,9 @@ def expand_variations(plant, taut, series, step, x_v, x_r, out):
     terms = np.empty(beads, dtype=np.int64)
     gradient = np.empty((beads, order + 1, 3, 3))
     for i in range(beads):
-        terms[i] = _gravity_gradient(plant, series.r[i], series.u[i], series.f[i], step, gradient[i])
+        terms[i] = _gravity_gradient(
+            plant, series.r[i], series.u[i], series.f[i], step, gradient[i]
+        )
     # Along every tether: difference e of the variations, logarithmic variation eta of the squared
     # length and variation of tension over length.
     e = np.empty((tethers, order + 1, 3, columns))

@@ -3,12 +3,14 @@
 import numpy as np
 from numba import njit
 
-from tss_ros.core.blocklu import solve_columns
+from tss_ros.core.blocklu import factor_wide, solve_columns, solve_wide
 from tss_ros.core.forces import jacobian
-from tss_ros.core.radau import add, error_estimate, multiply
+from tss_ros.core.radau import add, multiply
 
-#: Largest linear system solved densely for the variations of one step.
-DENSE_SIZE = 400
+#: Axes whose variations are coupled: all of them, or, along a motion that stays in the orbit plane,
+#: those in the plane and the one out of it apart.
+COUPLED = np.array([0, 1, 2])
+IN_PLANE, OUT_OF_PLANE = np.array([0, 1]), np.array([2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -25,94 +27,68 @@ def _stage_jacobians(plant, symbolic, tables, taut, t, h, v0, r0, z, rise, stage
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _solve_stages_directly(symbolic, tables, h, stage_r, stage_v, x_v, x_r, zx):
-    """Stage increments of the variations from one dense linear system; for few beads."""
-    s, n, k = tables.stages, x_v.shape[0], x_v.shape[2]
-    size = 3 * n
-    matrix = np.zeros((s * size, s * size))
-    right = np.zeros((s, n, 3, k))
-    place = np.empty((n, 3, k))
-    for j in range(s):
-        for q in range(s):
-            for i in range(size):
-                matrix[j * size + i, q * size + i] = tables.a_inverse[j, q] / h
-        for e in range(symbolic.row.size):
-            row, column = j * size + 3 * symbolic.row[e], 3 * symbolic.column[e]
-            for p in range(3):
-                for d in range(3):
-                    matrix[row + p, j * size + column + d] -= stage_v[j, e, p, d]
-                    for q in range(s):
-                        matrix[row + p, q * size + column + d] -= (
-                            h * tables.a[j, q] * stage_r[j, e, p, d]
-                        )
-        multiply(symbolic, stage_v[j], x_v, right[j])
-        place[:] = x_r
-        add(place.reshape(-1), tables.c[j] * h, x_v.reshape(-1))
-        multiply(symbolic, stage_r[j], place, right[j])
-    zx.reshape(s * size, k)[:] = np.linalg.solve(matrix, right.reshape(s * size, k))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _planar(v0, r0, z, rise):
+    """Whether a step stays in the orbit plane exactly."""
+    for i in range(r0.shape[0]):
+        if v0[i, 2] != 0.0 or r0[i, 2] != 0.0:
+            return False
+        for j in range(z.shape[0]):
+            if z[j, i, 2] != 0.0 or rise[j, i, 2] != 0.0:
+                return False
+    return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _solve_stages_by_iteration(
-    symbolic, tables, control, h, stage_r, stage_v, real, cplx, x_v, x_r, zx
-):
-    """The same by simplified Newton iteration, with the motion's factors; for many beads.
+def _solve_stages(symbolic, tables, h, axes, stage_r, stage_v, x_v, x_r, zx):
+    """Stage increments of the variations along some axes: one linear system for all stages.
 
-    Returns False if it did not converge.
+    The unknowns of a bead at all stages make one block, so that the system has the tether graph's
+    pattern and is factored in time proportional to the number of beads.
     """
-    s, n, k, pairs = tables.stages, x_v.shape[0], x_v.shape[2], tables.value.size
-    residual = np.empty((n, 3, k))
-    total = np.empty((n, 3, k))
-    real_sum = np.empty((n, 3, k))
-    twist = np.empty((pairs, n, 3, k), dtype=np.complex128)
-    lam = tables.real_value / h
-    before = np.inf
-    for _ in range(40):
-        real_sum[:] = 0.0
-        twist[:] = 0.0
+    s, n, k, a = tables.stages, x_v.shape[0], x_v.shape[2], axes.size
+    start = np.empty((n, 2 * a, k))
+    largest = 0.0
+    for i in range(n):
+        for p in range(a):
+            for c in range(k):
+                start[i, p, c] = x_v[i, axes[p], c]
+                start[i, a + p, c] = x_r[i, axes[p], c]
+                largest = max(largest, max(abs(start[i, p, c]), abs(start[i, a + p, c])))
+    if largest == 0.0:
+        return
+    matrix = np.zeros((symbolic.blocks, s * a, s * a))
+    right = np.zeros((n, s * a, k))
+    drive, product = np.empty((s * a, 2 * a)), np.empty((s * a, k))
+    for e in range(symbolic.row.size):
+        block = matrix[e]
         for j in range(s):
-            residual[:] = 0.0
-            total[:] = x_r
-            add(total.reshape(-1), tables.c[j] * h, x_v.reshape(-1))
+            for p in range(a):
+                for d in range(a):
+                    by_v = stage_v[j, e, axes[p], axes[d]]
+                    by_r = stage_r[j, e, axes[p], axes[d]]
+                    drive[j * a + p, d] = by_v + tables.c[j] * h * by_r
+                    drive[j * a + p, a + d] = by_r
+                    block[j * a + p, j * a + d] -= by_v
+                    for q in range(s):
+                        block[j * a + p, q * a + d] -= h * tables.a[j, q] * by_r
+        np.dot(drive, start[symbolic.column[e]], product)
+        add(right[symbolic.row[e]].reshape(-1), 1.0, product.reshape(-1))
+    for i in range(n):
+        for j in range(s):
             for q in range(s):
-                add(total.reshape(-1), h * tables.a[j, q], zx[q].reshape(-1))
-                add(residual.reshape(-1), -tables.a_inverse[j, q] / h, zx[q].reshape(-1))
-            multiply(symbolic, stage_r[j], total, residual)
-            total[:] = x_v
-            add(total.reshape(-1), 1.0, zx[j].reshape(-1))
-            multiply(symbolic, stage_v[j], total, residual)
-            add(real_sum.reshape(-1), lam * tables.real_left[j], residual.reshape(-1))
-            for w in range(pairs):
-                add(
-                    twist[w].reshape(-1), tables.value[w] / h * tables.left[w, j],
-                    residual.reshape(-1),
-                )
-        solve_columns(symbolic, real, real_sum)
-        for w in range(pairs):
-            solve_columns(symbolic, cplx[w], twist[w])
-        size, largest = 0.0, control.speed
+                for p in range(a):
+                    matrix[i, j * a + p, q * a + p] += tables.a_inverse[j, q] / h
+    factor_wide(symbolic, matrix)
+    solve_wide(symbolic, matrix, right)
+    for i in range(n):
         for j in range(s):
-            for i in range(n):
-                for p in range(3):
-                    for c in range(k):
-                        change = tables.real_right[j] * real_sum[i, p, c]
-                        for w in range(pairs):
-                            value, right = twist[w, i, p, c], tables.right[w, j]
-                            change += 2.0 * (value.real * right.real - value.imag * right.imag)
-                        zx[j, i, p, c] += change
-                        size = max(size, abs(change))
-                        largest = max(largest, abs(zx[j, i, p, c]))
-        if size <= control.accuracy * largest or (size > 0.3 * before and size < 1e-11 * largest):
-            return True
-        before = size
-    return False
+            for p in range(a):
+                zx[i, j, axes[p]] = right[i, j * a + p]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def vary(
-    plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, by_r, real, cplx, x_v, x_r
-):
+def vary(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, by_r, real, x_v, x_r):
     """Carry the variations over a step along the stages just found, Eq. (12).
 
     Returns the scaled error estimate; x_v, x_r are advanced if it is within the tolerance.
@@ -122,24 +98,47 @@ def vary(
     stage_r = np.empty((s, by_r.shape[0], 3, 3))
     stage_v = np.empty((s, by_r.shape[0], 3, 3))
     _stage_jacobians(plant, symbolic, tables, taut, t, h, v0, r0, z, rise, stage_r, stage_v)
-    zx = np.zeros((s, n, 3, k))
-    if 3 * n * s <= DENSE_SIZE:
-        _solve_stages_directly(symbolic, tables, h, stage_r, stage_v, x_v, x_r, zx)
-    elif not _solve_stages_by_iteration(
-        symbolic, tables, control, h, stage_r, stage_v, real, cplx, x_v, x_r, zx
-    ):
-        return np.inf
-    rx = np.zeros((s, n, 3, k))
-    for j in range(s):
-        add(rx[j].reshape(-1), tables.c[j] * h, x_v.reshape(-1))
-        for q in range(s):
-            add(rx[j].reshape(-1), h * tables.a[j, q], zx[q].reshape(-1))
-    f0 = np.zeros((n, 3, k))
+    zx = np.zeros((n, s, 3, k))
+    if _planar(v0, r0, z, rise):
+        _solve_stages(symbolic, tables, h, IN_PLANE, stage_r, stage_v, x_v, x_r, zx)
+        _solve_stages(symbolic, tables, h, OUT_OF_PLANE, stage_r, stage_v, x_v, x_r, zx)
+    else:
+        _solve_stages(symbolic, tables, h, COUPLED, stage_r, stage_v, x_v, x_r, zx)
+    end_v, end_r = x_v.copy(), x_r.copy()
+    b_v, b_r = np.zeros((n, 3, k)), x_v.copy()
     jacobian(plant, symbolic.pair, taut, t, v0, r0, stage_r[0], stage_v[0])
-    multiply(symbolic, stage_r[0], x_r, f0)
-    multiply(symbolic, stage_v[0], x_v, f0)
-    error = error_estimate(symbolic, tables, control, h, by_r, f0, x_v, zx, rx, real)
+    multiply(symbolic, stage_r[0], x_r, b_v)
+    multiply(symbolic, stage_v[0], x_v, b_v)
+    # r' = v holds in every stage, so the stages' sums of positions are sums of their velocities.
+    weight = tables.error @ tables.a
+    for i in range(n):
+        add(end_v[i].reshape(-1), 1.0, zx[i, s - 1].reshape(-1))
+        add(end_r[i].reshape(-1), h, x_v[i].reshape(-1))
+        add(b_r[i].reshape(-1), tables.error @ tables.c, x_v[i].reshape(-1))
+        for j in range(s):
+            add(end_r[i].reshape(-1), h * tables.a[s - 1, j], zx[i, j].reshape(-1))
+            add(b_v[i].reshape(-1), tables.error[j] / h, zx[i, j].reshape(-1))
+            add(b_r[i].reshape(-1), weight[j], zx[i, j].reshape(-1))
+    error = _error_estimate(symbolic, tables, control, h, by_r, b_v, b_r, real)
     if error <= control.tolerance:
-        add(x_v.reshape(-1), 1.0, zx[s - 1].reshape(-1))
-        add(x_r.reshape(-1), 1.0, rx[s - 1].reshape(-1))
+        x_v[:] = end_v
+        x_r[:] = end_r
     return error
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _error_estimate(symbolic, tables, control, h, by_r, b_v, b_r, real):
+    """`radau.error_estimate` from the sums b_v, b_r (n,3,k) of its embedded formula."""
+    lam = tables.real_value / h
+    add(b_v.reshape(-1), lam - 1.0, b_v.reshape(-1))
+    multiply(symbolic, by_r, b_r, b_v)
+    solve_columns(symbolic, real, b_v)
+    largest = 0.0
+    for i in range(b_v.shape[0]):
+        for p in range(3):
+            for c in range(b_v.shape[2]):
+                largest = max(largest, abs(b_v[i, p, c]) / control.speed)
+                largest = max(
+                    largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * control.length)
+                )
+    return largest
