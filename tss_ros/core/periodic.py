@@ -17,6 +17,8 @@ from tss_ros.core.system import State
 FREE_DIRECTION = 1e-2
 #: Largest scaled closure residual of a motion that is still called periodic.
 CLOSED = 1e-3
+#: Largest one of a start that is shot from for the whole turn where its symmetric part did not do.
+NEAR = 0.1
 #: A correction must leave at most this share of the residual to be taken, and at most the smaller
 #: one for the matrix to serve again; it is not tried if it aims at less than the smallest.
 WORTH_IT, STILL_SERVES, NOTHING_LEFT = 0.9, 0.5, 0.05
@@ -182,30 +184,49 @@ def corrected(flow, starts, cancelled=None):
     Cancelled
         If `cancelled` said so.
     """
-    symmetry = cyclic_symmetry(flow.system)
-    symmetry = symmetry if symmetry.order > 1 else None
-    calm = _with_enough_damping(flow.system)
-    best, failure = None, None
-    for start in starts:
+    shots, failure = [], None
+    for start, symmetry in _attempts(flow, starts, cancelled):
         try:
-            state = start
-            if calm is not flow.system:
-                state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
-            shot = _Shot(flow, state, cancelled, symmetry).improve()
-            if symmetry and shot.residual <= CLOSED:
-                shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot).improve()
+            shots.append((_shoot(flow, start, cancelled, symmetry), start))
         except IntegrationError as error:
             failure = failure or error
             continue
-        if best is None or shot.residual < best[0].residual:
-            best = shot, start
-        if shot.residual <= CLOSED:
+        if shots[-1][0].residual <= CLOSED:
             break
-    if best is None:
+    if not shots:
         raise failure
-    shot, start = best
+    shot, start = min(shots, key=lambda pair: pair[0].residual)
     whole = None if shot.symmetry else shot.turn
     return whole or turn(flow, shot.state, cancelled), start
+
+
+def _attempts(flow, starts, cancelled):
+    """Starts with the symmetry to use, and then those near closing once more without."""
+    symmetry, tried = cyclic_symmetry(flow.system), []
+    for start in starts:
+        yield start, symmetry if symmetry.order > 1 else None
+        tried.append(start)
+    if symmetry.order > 1:
+        yield from ((start, None) for start in tried if _near(flow, start, cancelled))
+
+
+def _shoot(flow, state, cancelled, symmetry):
+    """A shot for a part of the turn, if there is a symmetry, and for all of it if that closed."""
+    calm = _with_enough_damping(flow.system)
+    if calm is not flow.system:
+        state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
+    shot = _Shot(flow, state, cancelled, symmetry).improve()
+    if symmetry and shot.residual <= CLOSED:
+        shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot).improve()
+    return shot
+
+
+def _near(flow, state, cancelled):
+    """Whether it is worth while to shoot for the whole turn from here."""
+    try:
+        return np.linalg.norm(closure(flow, state, cancelled)[0]) <= NEAR
+    except IntegrationError:
+        return False
 
 
 def _with_enough_damping(system):
