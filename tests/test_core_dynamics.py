@@ -187,8 +187,9 @@ def test_averaged_state_balances_the_mean_force_over_a_turn(system):
     assert np.abs(mean).max() < 1e-8 * scale
 
 
+@pytest.mark.parametrize("integrator", ["auto", "radau", "taylor"])
 @pytest.mark.parametrize("damping, disturbance", [(0.0, 1.0), (100.0, 10.0), (2000.0, 10.0)])
-def test_motion_agrees_with_scipy_on_the_printed_equations(damping, disturbance):
+def test_motion_agrees_with_scipy_on_the_printed_equations(damping, disturbance, integrator):
     """100 s at -2.2 with slack switches, before chaos parts the two; scipy in the orbit frame."""
     system = ring(damping_n_s_per_m=damping)
     start = disturbed(initial_state(system, -2.2), disturbance, seed=3)
@@ -201,9 +202,31 @@ def test_motion_agrees_with_scipy_on_the_printed_equations(damping, disturbance)
     x0 = np.concatenate([start.position_m.ravel(), start.velocity_m_s.ravel()])
     method = "Radau" if damping > 1000 else "DOP853"
     solution = solve_ivp(derivative, (0, end), x0, method, rtol=1e-9, atol=1e-8, max_step=0.5)
-    position, velocity = Propagator(system, -2.2, start).sample(np.array([0.5 * end, end]))
+    motion = Propagator(system, -2.2, start, integrator=integrator)
+    position, velocity = motion.sample(np.array([0.5 * end, end]))
     assert np.abs(position[-1].ravel() - solution.y[:9, -1]).max() < 2e-3
     assert np.abs(velocity[-1].ravel() - solution.y[9:, -1]).max() < 2e-4
+
+
+@pytest.mark.parametrize("damping", [1.0, 100.0])
+def test_implicit_and_explicit_steps_agree_through_slack(damping):
+    """Two methods that share no formula, over half a turn with many switches, to 1e-9."""
+    system = ring(damping_n_s_per_m=damping)
+    start = disturbed(initial_state(system, -2.2), 10.0, seed=3)
+    radius = np.linalg.norm(start.position_m[0])
+    seen = []
+    for integrator in ("radau", "taylor", "auto"):
+        motion = Propagator(system, -2.2, start, rtol=1e-12, integrator=integrator)
+        seen.append(motion.sample(np.linspace(0.0, 0.5 * motion.period_s, 7))[0])
+        assert motion.switches > 3
+    assert np.abs(seen[0] - seen[1]).max() < 1e-8 * radius
+    assert np.abs(seen[2] - seen[1]).max() < 1e-8 * radius
+
+
+def test_an_unknown_integrator_is_refused():
+    system = ring()
+    with pytest.raises(TssError, match="integrator must be one of radau, taylor, auto, got 'rk4'"):
+        Propagator(system, -2.5, initial_state(system, -2.5), integrator="rk4")
 
 
 def jacobi_energy(system, position, velocity):

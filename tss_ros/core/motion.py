@@ -11,9 +11,9 @@ from tss_ros.core.system import State
 
 #: Collocation stages used by default; the order is 13.
 STAGES = 7
-#: Kinds of integration steps to choose from, as `integration` numbers them: implicit, explicit, or
-#: whichever is cheaper at the time.
-METHODS = ("radau", "taylor", "auto")
+#: Integrators to choose from, as `integration` numbers its kinds of steps: implicit collocation,
+#: explicit series, or whichever is cheaper at the time.
+INTEGRATORS = ("radau", "taylor", "auto")
 #: Most slack/taut switches in one turn before a motion counts as chattering.
 MOST_SWITCHES_PER_TURN = 20_000
 
@@ -32,13 +32,22 @@ class Flow:
         Hold `rtol` everywhere inside the steps (for sampling), not only where they end.
     length_m : float
         [m] size of the formation, the scale of errors.
+    integrator : str
+        One of `INTEGRATORS`.
+    stages : int
+        Of the implicit steps.
     """
 
     def __init__(
-        self, system, spin_rate_rad_s, rtol, length_m, dense=False, stages=STAGES, method="auto"
+        self, system, spin_rate_rad_s, rtol, length_m, dense=False, integrator="auto",
+        stages=STAGES,
     ):
         if not 1e-13 <= rtol <= 1e-3:
             raise TssError(f"rtol must be from 1e-13 to 1e-3, got {rtol:g}")
+        if integrator not in INTEGRATORS:
+            raise TssError(
+                f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r:.80}"
+            )
         self.system, self.rtol = system, rtol
         self.plant = forces.plant(system, spin_rate_rad_s)
         self.symbolic = blocklu.analyse(system.n, system.tether_ends)
@@ -50,7 +59,7 @@ class Flow:
         local = rtol if dense else 0.01 * rtol ** ((stages + 1) / (2 * stages))
         self.control = radau.Control(
             local, max(0.01 * rtol, 1e-15), float(length_m), float(length_m * rate),
-            self.turn_s / 4, METHODS.index(method), taylor.order_for(rtol), rtol,
+            self.turn_s / 4, INTEGRATORS.index(integrator), taylor.order_for(rtol), rtol,
         )
 
     def of(self, system):
@@ -115,20 +124,23 @@ class Propagator:
         At time 0, in the orbit frame.
     rtol : float
         Error aimed at per step, relative to the formation's radius and rim speed, at every instant.
+    integrator : str
+        "auto", or "radau" or "taylor" for one kind of steps only: implicit ones suit stiff damping,
+        explicit ones tethers that ring or switch often.
 
     Raises
     ------
     TssError
-        For a rate, tolerance or state that is not allowed.
+        For a rate, tolerance, integrator or state that is not allowed.
     """
 
     #: Accepted steps between two looks at `cancelled`.
     SLICE = 200
 
-    def __init__(self, system, spin_rate_ratio, state, rtol=1e-10):
+    def __init__(self, system, spin_rate_ratio, state, rtol=1e-10, integrator="auto"):
         spin = system.spin_rate_rad_s(spin_rate_ratio)
         length = np.max(np.linalg.norm(system.layout_m, axis=1))
-        self._flow = Flow(system, spin, rtol, length, dense=True)
+        self._flow = Flow(system, spin, rtol, length, dense=True, integrator=integrator)
         self._motion = self._flow.begin(state)
         self.period_s = 2.0 * math.pi / abs(spin)
 
