@@ -23,8 +23,9 @@ ANY_STEP = 1e300
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 #: Kinds of steps, and what `Control.kind` may allow: one kind only, or both.
 IMPLICIT, EXPLICIT, BOTH = range(3)
-#: Explicit steps that one implicit step costs, of the motion alone and with variations.
-COST, COST_VARIED = 8.0, 3.0
+#: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
+#: more beads than this are always cheaper to carry implicitly.
+COST, COST_VARIED, FEW_BEADS = 3.0, 1.0, 8
 #: Share of the longest step an explicit method can bear at the fastest rate, N!^(1/N) of its
 #: inverse, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
@@ -199,7 +200,9 @@ def advance(
         np.empty((order + 1, *motion.x_r.shape)),
     )
     made, most_switches = 0, motion.count[3] + switches
-    follows = True
+    follows, both = True, control.kind == BOTH
+    if both and n > FEW_BEADS and motion.x_r.shape[2] > 0:
+        both, motion.count[NEXT] = False, IMPLICIT
     _sample(plant, tables, motion, times, out_v, out_r)
     while True:
         t = motion.time[0]
@@ -224,7 +227,8 @@ def advance(
             toggle(plant, motion, which, 1e-12 * plant.rest[which])
             if motion.count[3] == before:
                 return STEP_TOO_SMALL
-            _start_anew(control, motion)
+            if both:
+                _start_anew(motion)
             continue
         if h == TOO_SMALL:
             if t + natural >= stop:
@@ -240,7 +244,7 @@ def advance(
         motion.time[2], motion.time[3] = t, h
         motion.time[0] = stop if t + h >= stop or which < 0 and t + 1.01 * h >= stop else t + h
         motion.count[LAST] = kind
-        if control.kind == BOTH:
+        if both:
             _choose(plant, control, motion, work, natural)
         if which >= 0:
             toggle(plant, motion, which, 1e-12 * plant.rest[which])
@@ -251,7 +255,8 @@ def advance(
                 weight = plant.inv_mass[i] + plant.inv_mass[j]
                 rate = plant.damping[which] * weight + math.sqrt(plant.stiffness[which] * weight)
                 motion.time[1] = min(motion.time[1], 2.0 / rate)
-            _start_anew(control, motion)
+            if both:
+                _start_anew(motion)
         _sample(plant, tables, motion, times, out_v, out_r)
 
 
@@ -265,11 +270,10 @@ REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start_anew(control, motion):
+def _start_anew(motion):
     """Forget, after a switch, what spoke for one kind of step or the other."""
-    if control.kind == BOTH:
-        motion.count[NEXT] = EXPLICIT
-        motion.count[DOUBT] = motion.count[HOLD] = motion.count[BACKOFF] = 0
+    motion.count[NEXT] = EXPLICIT
+    motion.count[DOUBT] = motion.count[HOLD] = motion.count[BACKOFF] = 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
