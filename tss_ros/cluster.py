@@ -103,7 +103,7 @@ def _connected(scheduler):
         from distributed import CancelledError, Client
     except ImportError:
         raise TssError(
-            "the package distributed is missing; get it with: pip install 'tss_ros[cluster]'"
+            "a Dask cluster needs the package distributed; get it with: pip install distributed"
         ) from None
     # A scheduler that is lost is told of below, in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)

@@ -32,8 +32,8 @@ TYPES = {
 }
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS question (name TEXT PRIMARY KEY, value TEXT);
-CREATE TABLE IF NOT EXISTS job (id INTEGER PRIMARY KEY, error TEXT, cpu_seconds REAL, rows TEXT);
-CREATE INDEX IF NOT EXISTS not_in_parquet ON job (id) WHERE rows IS NOT NULL;
+CREATE TABLE IF NOT EXISTS job (id INTEGER PRIMARY KEY, error TEXT, cpu_seconds REAL);
+CREATE TABLE IF NOT EXISTS not_in_parquet (id INTEGER PRIMARY KEY, rows TEXT);
 """
 
 
@@ -115,7 +115,10 @@ class Store:
         cpu_s : float
             Processor time [s].
         """
-        self._execute("INSERT INTO job VALUES (?, ?, ?, ?)", (number, error, cpu_s, rows))
+        with self._database:
+            self._execute("BEGIN")
+            self._execute("INSERT INTO job VALUES (?, ?, ?)", (number, error, cpu_s))
+            self._execute("REPLACE INTO not_in_parquet VALUES (?, ?)", (number, rows))
         self.done, self.failed = self.done + 1, self.failed + (error is not None)
         self._pending += 1
         if self._pending >= FLUSH_JOBS or time.monotonic() - self._flushed > FLUSH_S:
@@ -123,17 +126,17 @@ class Store:
 
     def flush(self):
         """Bring the Parquet files up to date."""
-        blocks = self._execute("SELECT DISTINCT id / ? FROM job WHERE rows IS NOT NULL", (BLOCK,))
-        for (block,) in blocks.fetchall():
-            part = "id BETWEEN ? AND ? AND rows IS NOT NULL"
+        blocks = self._execute("SELECT DISTINCT id / ? FROM not_in_parquet", (BLOCK,)).fetchall()
+        for (block,) in blocks:
+            part = "FROM not_in_parquet WHERE id BETWEEN ? AND ?"
             ends = block * BLOCK, (block + 1) * BLOCK - 1
-            found = self._execute(f"SELECT id, rows FROM job WHERE {part} ORDER BY id", ends)
-            numbers, texts = zip(*found.fetchall())
+            found = self._execute(f"SELECT id, rows {part} ORDER BY id", ends).fetchall()
+            numbers, texts = zip(*found)
             tables = [json.loads(text) for text in texts]
             for name in self._schemas:
                 rows = [row for table in tables for row in table.get(name, ())]
                 self._replace(name, block, numbers, rows)
-            self._execute(f"UPDATE job SET rows = NULL WHERE {part}", ends)
+            self._execute(f"DELETE {part}", ends)
         self._pending, self._flushed = 0, time.monotonic()
 
     def table(self, name, columns=None):
