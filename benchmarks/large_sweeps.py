@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from tss_ros import cluster
 from tss_ros.core import sweep
@@ -85,13 +86,16 @@ def on_disk(count):
             compute(asked, store)
             alone = list(sweep([asked.job(0)], 1))[0][1]
             took = time.perf_counter() - begun
-        sizes = {
-            name: sum(path.stat().st_size for path in Path(folder).rglob(name))
-            for name in ("*.parquet", "manifest.sqlite")
-        }
+        results = sum(path.stat().st_size for path in Path(folder).rglob("*.parquet"))
+        with contextlib.closing(sqlite3.connect(Path(folder) / "manifest.sqlite")) as manifest:
+            size, pages, free = (
+                manifest.execute(f"PRAGMA {name}").fetchone()[0]
+                for name in ("page_size", "page_count", "freelist_count")
+            )
     print(f"\n{count} orbits of the 3-star, taut: {count / took:.0f} a second in threads")
-    for name, size in sizes.items():
-        print(f"{name}: {size / count:.0f} bytes per orbit, {size / count:.0f} MB per million")
+    print(f"Parquet: {results / count:.0f} bytes per orbit")
+    kept, passing = size * (pages - free) / count, size * free / count
+    print(f"manifest: {kept:.0f} bytes per orbit, {passing:.0f} for one on its way to Parquet")
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder), asked) as store:
         begun = time.perf_counter()
         for number in range(count):
@@ -151,15 +155,25 @@ def overhead(count):
         asked = question("three_star", 1450, FAST, count)
         jobs = [asked.job(number) for number in range(count)]
         list(cluster.sweep(jobs[:20], address))
-        begun = time.perf_counter()
-        list(cluster.sweep(jobs, address))
-        there = time.perf_counter() - begun
-        begun = time.perf_counter()
-        list(sweep(jobs, 2))
-        here = time.perf_counter() - begun
-        print(
-            f"Dask, 2 workers, real jobs: {count / there:.0f} a second; 2 threads {count / here:.0f}"
-        )
+        for text, run in (
+            ("Dask, 2 workers", lambda: list(cluster.sweep(jobs, address))),
+            ("2 threads", lambda: list(sweep(jobs, 2))),
+        ):
+            before, begun = processor_s(), time.perf_counter()
+            in_jobs = sum(cpu_s for _, (_, _, cpu_s) in run())
+            each = (time.perf_counter() - begun) / count
+            beside = processor_s() - before - in_jobs
+            print(
+                f"{text}: {1 / each:.0f} orbits a second; processor time in a job"
+                f" {1e3 * in_jobs / count:.1f} ms, beside it {1e3 * beside / count:.1f} ms"
+            )
+
+
+def processor_s():
+    """Processor time [s] of this process and those it started."""
+    own = psutil.Process()
+    times = [process.cpu_times() for process in (own, *own.children(recursive=True))]
+    return sum(t.user + t.system for t in times)
 
 
 def main():

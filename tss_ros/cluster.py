@@ -140,7 +140,10 @@ def _result(future, scheduler, stopped):
             ) from None
         except (ImportError, AttributeError, RuntimeError) as error:
             # of a scheduler or worker that has no tss_ros, or another one
-            raise TssError(f"{scheduler} cannot run the jobs: {_first_line(error)}") from error
+            raise TssError(
+                f"the cluster at {scheduler} cannot run the jobs; has it the same tss_ros?"
+                f" {_first_line(error.__cause__ or error)}"
+            ) from error
 
 
 def _first_line(error):
