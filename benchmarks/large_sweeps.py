@@ -33,7 +33,7 @@ REGIMES = [
     *((name, 1450, rates) for name in ("four_star", "six_star", "chain") for rates in (FAST, SLOW)),
     *(("six_bead", 1450, rates) for rates in (FAST, SLOW)),
 ]
-MILLION, WORKERS = 1_000_000, 64
+MILLION = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def regimes(count):
         print(
             f"| {name} | {damping} | {rates[0]:g} to {rates[1]:g} | {1e3 * np.median(spent):.1f} |"
             f" {1e3 * mean:.1f} | {1e3 * spent.max():.0f} | {failed / count:.0%} |"
-            f" {none / count:.0%} | {slack / count:.0%} | {mean * MILLION / WORKERS / 3600:.1f} |",
+            f" {none / count:.0%} | {slack / count:.0%} | {mean * MILLION / 3600:.1f} |",
             flush=True,
         )
 

@@ -80,5 +80,5 @@ def test_interrupted_it_shows_what_was_done(tmp_path):
         process.kill()
         process.wait()
     assert process.returncode == 130, error
-    assert "interrupted with" in error and "the same command goes on from here" in error
-    assert "asymptotically stable" in out or "interrupted with 0 of" in error
+    assert "sweep: interrupted; " in error and "; the same command goes on from here" in error
+    assert "asymptotically stable" in out or "interrupted; 0 of" in error

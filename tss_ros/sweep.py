@@ -79,7 +79,11 @@ def table(question, store):
     for label in dict.fromkeys(map(question.label, range(len(question)))):
         lines.append(label)
         rows = rates.get(label, [])
-        frozen = {r["spin_rate_ratio"]: r["max_modulus"] for r in rows if r["method"] == "frozen"}
+        frozen = {
+            row["spin_rate_ratio"]: row["max_modulus"]
+            for row in rows
+            if row["method"] == "frozen" and not row["error"]
+        }
         for row in rows:
             if row["method"] != "frozen" or question.methods == ["frozen"]:
                 lines.append(_rate(row, frozen))
@@ -104,10 +108,10 @@ def _by_system(question, store, name):
 def _rate(row, frozen):
     if row["error"]:
         return f"  {row['spin_rate_ratio']:9.4f}  {row['error']}"
+    ratio = row["spin_rate_ratio"]
+    beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
     return (
-        f"  {row['spin_rate_ratio']:9.4f}  {row['verdict']:22}"
-        f"  |rho| {row['max_modulus_nontrivial']:11.6f}"
-        f"  (frozen {frozen.get(row['spin_rate_ratio'], math.nan):.6f})"
+        f"  {ratio:9.4f}  {row['verdict']:22}  |rho| {row['max_modulus_nontrivial']:11.6f}{beside}"
         f"  closure {row['closure_residual']:.0e}  switches {row['switches']}"
     )
 
@@ -181,18 +185,19 @@ def main(argv=None):
     options = _parse(sys.argv[1:] if argv is None else argv)
     stopped = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: stopped.set())
-    with contextlib.ExitStack() as stack:
-        try:
-            question = Question(
-                options.scenario, options.parameter, options.values, options.rates,
-                options.methods, options.critical, options.tolerance, options.confirm,
-            )  # fmt: skip
-            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="sweep_"))
-            store = stack.enter_context(Store(options.output or Path(scratch), question))
+    try:
+        question = Question(
+            options.scenario, options.parameter, options.values, options.rates,
+            options.methods, options.critical, options.tolerance, options.confirm,
+        )  # fmt: skip
+        with (
+            tempfile.TemporaryDirectory(prefix="sweep_") as scratch,
+            Store(options.output or Path(scratch), question) as store,
+        ):
             return _sweep(question, store, options, stopped.is_set)
-        except (TssError, OSError) as error:
-            print(f"sweep: {error}", file=sys.stderr)
-            return 1
+    except (TssError, OSError) as error:
+        print(f"sweep: {error}", file=sys.stderr)
+        return 1
 
 
 def _sweep(question, store, options, cancelled):
@@ -204,12 +209,15 @@ def _sweep(question, store, options, cancelled):
     again = "; the same command goes on from here" if options.output else ""
     try:
         compute(question, store, options.workers, options.scheduler, show, cancelled)
+        words = ""
     except Cancelled:
-        print(f"sweep: interrupted with {store.done} of {total} jobs done{again}", file=sys.stderr)
-        status = 130
+        words, status = "interrupted", 130
     except (TssError, OSError) as error:
-        print(f"sweep: {error}; {store.done} of {total} jobs are done{again}", file=sys.stderr)
-        status = 1
+        words, status = str(error), 1
+    if show:
+        print(file=sys.stderr)
+    if words:
+        print(f"sweep: {words}; {store.done} of {total} jobs are done{again}", file=sys.stderr)
     store.flush()
     print(table(question, store))
     if options.output:
@@ -243,7 +251,7 @@ class _Progress:
             f"\r{done} of {self._total} jobs, {rate:.3g}/s,"
             f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left,"
             f" {self._store.failed} failed\033[K",
-            end="\n" if done == self._total else "",
+            end="",
             file=sys.stderr,
             flush=True,
         )
