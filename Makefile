@@ -26,7 +26,7 @@ test: setup
 UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
 	--no-emit-index-url --custom-compile-command 'make lock'
 lock:
-	$(UV) setup.py --extra dev -o requirements/python.txt
+	$(UV) setup.py --extra dev --extra cluster -o requirements/python.txt
 	$(UV) requirements/ros.in -c requirements/python.txt -o requirements/ros.txt
 
 clean:

@@ -52,6 +52,8 @@ setup(
         "rerun-sdk>=0.39",
     ],
     extras_require={
+        # sweeps on a Dask cluster
+        "cluster": ["distributed>=2025.1"],
         # what `make` needs besides: tests and checks, then colcon
         "dev": [
             "pytest>=8",

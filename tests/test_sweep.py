@@ -1,11 +1,11 @@
 """The command `sweep`, as a user runs it."""
 
-import csv
 import signal
 import subprocess
 import sys
 import time
 
+import pyarrow.parquet
 import pytest
 from PIL import Image
 
@@ -17,8 +17,7 @@ def run(*arguments):
 
 
 def rows(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return pyarrow.parquet.read_table(path).to_pylist()
 
 
 def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
@@ -29,17 +28,16 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "DISAGREES" not in done.stdout
-    critical = rows(tmp_path / "critical_rates.csv")
-    first = {row["value"]: (row["cause"], float(row["spin_rate_ratio"])) for row in critical[::-1]}
-    assert first["1450.0"][0] == "first slack"
-    assert first["1450.0"][1] == pytest.approx(-2.171, abs=4e-3)  # closed form, PHYSICS 4
-    assert first["3000.0"][0] == "axis tilt"
-    assert first["3000.0"][1] == pytest.approx(-2.0, abs=2e-3)
-    assert [row["spin_rate_ratio"] for row in rows(tmp_path / "multipliers.csv")] == [
-        "-2.6", "-2.4", "-2.6", "-2.4",
-    ]  # fmt: skip
-    frozen = rows(tmp_path / "frozen_multipliers.csv")
-    assert all(1.0 < float(row["max_modulus"]) < 1.02 for row in frozen)
+    assert done.stdout.count("simulated: ") == len(rows(tmp_path / "simulations")) >= 4
+    first = {row["damping_n_s_per_m"]: row for row in rows(tmp_path / "critical_rates")[::-1]}
+    assert first[1450.0]["cause"] == "first slack"
+    assert first[1450.0]["spin_rate_ratio"] == pytest.approx(-2.171, abs=4e-3)  # closed form
+    assert first[3000.0]["cause"] == "axis tilt"
+    assert first[3000.0]["spin_rate_ratio"] == pytest.approx(-2.0, abs=2e-3)
+    multipliers = rows(tmp_path / "multipliers")
+    assert [row["spin_rate_ratio"] for row in multipliers] == [-2.6, -2.6, -2.4, -2.4] * 2
+    frozen = [row for row in multipliers if row["method"] == "frozen"]
+    assert len(frozen) == 4 and all(1.0 < row["max_modulus"] < 1.02 for row in frozen)
     with Image.open(tmp_path / "map.png") as picture:
         assert picture.size[0] > 1000
         assert len(picture.convert("L").getcolors()) > 10
@@ -55,6 +53,9 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),
         (("--critical", "-2", "-2"), 1, "must not be empty"),
         (("--critical", "-3", "-2", "--tolerance", "0"), 1, "tolerance"),
+        (("--rates", "-3", "-2", "2", "--retry"), 2, "--retry needs --output"),
+        (("--rates", "-3", "-2", "2", "--scheduler", "here"), 1, "scheduler is 'here'"),
+        (("--rates", "-3", "-2", "2", "--scheduler", "a", "--workers", "2"), 2, "--workers are"),
     ],
 )
 def test_bad_command_lines_are_named(arguments, status, named):
@@ -79,5 +80,5 @@ def test_interrupted_it_shows_what_was_done(tmp_path):
         process.kill()
         process.wait()
     assert process.returncode == 130, error
-    assert "interrupted" in error
-    assert "three_star" in out
+    assert "sweep: interrupted; " in error and "; the same command goes on from here" in error
+    assert "asymptotically stable" in out or "interrupted; 0 of" in error

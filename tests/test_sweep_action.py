@@ -4,6 +4,7 @@ import contextlib
 import math
 import re
 
+import dask_cluster
 import numpy as np
 import pytest
 import ros_harness
@@ -74,12 +75,12 @@ class Client:
 
 
 @contextlib.contextmanager
-def started(directory, namespace):
+def started(directory, namespace, **parameters):
     with (
         ros_harness.processes(directory) as start,
         ros_harness.client_node() as (node, spin_until),
     ):
-        process = start("stability_node", "-r", f"__ns:={namespace}")
+        process = start("stability_node", "-r", f"__ns:={namespace}", **parameters)
         yield Client(node, spin_until, process, namespace)
         if process.running:
             assert process.stop() == 0, process.stderr
@@ -269,3 +270,36 @@ def test_a_sweep_ends_with_the_node(tmp_path):
         _, told, _ = client.send(Sweep.Goal(spin_rate_ratio=rates, **interval))
         client.spin_until(lambda: told, 30, "feedback")
         assert client.process.stop() == 0, client.process.stderr
+
+
+def test_a_cluster_sweeps_as_well_as_the_node_and_its_loss_is_told(client, tmp_path):
+    goal = {"spin_rate_ratio": [-2.5, 0.0, -3.0], "parameter": "satellites", "value": [3.0, 1.0]}
+    interval = {"spin_rate_ratio_from": -2.1, "spin_rate_ratio_to": -1.1, "tolerance": 1e-5}
+    here = client.run(**goal)[1]
+    with (
+        dask_cluster.running(tmp_path, 2) as dask,
+        started(tmp_path, "/clustered", scheduler=dask.address) as clustered,
+    ):
+        status, result, feedback = clustered.run(**goal)
+        assert status == GoalStatus.STATUS_SUCCEEDED and str(result) == str(here)
+        assert feedback[-1].done == feedback[-1].total == 3
+        handle, told, answer = clustered.send(Sweep.Goal(**interval, **goal))
+        clustered.spin_until(lambda: told, 30, "feedback")
+        status, result = clustered.cancel(handle, answer)
+        assert status == GoalStatus.STATUS_CANCELED and "of 4 jobs done" in result.message
+        _, told, answer = clustered.send(Sweep.Goal(**interval, **goal))
+        clustered.spin_until(lambda: told, 30, "feedback")
+        dask.scheduler.kill()
+        clustered.spin_until(answer.done, 30, "the end of a goal whose cluster is lost")
+        lost = answer.result()
+        assert lost.status == GoalStatus.STATUS_ABORTED
+        assert lost.result.message == f"the Dask scheduler at {dask.address} is lost"
+        assert sum(len(row.results) for row in lost.result.rows) >= 1
+        assert clustered.compute(-2.5).verdict
+
+
+def test_a_wrong_scheduler_is_refused_when_the_node_starts(tmp_path):
+    with ros_harness.processes(tmp_path) as start:
+        process = start("stability_node", scheduler="localhost")
+        assert process.wait(ros_harness.START_S) == 1
+    assert "scheduler is 'localhost'; allowed: tcp://HOST:PORT" in process.stderr

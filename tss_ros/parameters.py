@@ -224,6 +224,10 @@ SIMULATOR = (
     ),
 )
 
+STABILITY = (
+    Parameter("scheduler", str, "Dask cluster to sweep on; empty: this machine.", default=""),
+)
+
 LOGGER = (
     Parameter(
         "output",
@@ -253,7 +257,7 @@ LOGGER = (
 )
 
 #: A parameters file may serve several nodes, so each knows the names of all, and ROS's own.
-_KNOWN_NAMES = {p.name for p in (*SIMULATOR, *LOGGER)} | {
+_KNOWN_NAMES = {p.name for p in (*SIMULATOR, *STABILITY, *LOGGER)} | {
     "use_sim_time",
     "start_type_description_service",
     "qos_overrides",

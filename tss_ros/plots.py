@@ -255,16 +255,19 @@ def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, met
     return figure
 
 
-def stability_map(parameter, rows):
+def stability_map(parameter, points, critical, labels=()):
     """Verdicts and critical rates over spin rate and the values of a parameter.
 
     Parameters
     ----------
     parameter : str
         Label of the abscissa.
-    rows : sequence of (str, float, list, list)
-        For each system its label, the parameter's value (NaN for none: rows then stand side by
-        side under their labels), its FloquetResults and its CriticalRates.
+    points : tuple of ndarray
+        Abscissa, spin rate over orbital rate and verdict of every motion.
+    critical : tuple of ndarray
+        Abscissa, spin rate over orbital rate, its uncertainty and its cause, of every critical one.
+    labels : sequence of str
+        Names of the abscissas 0, 1, 2, ..., if these are no numbers.
 
     Returns
     -------
@@ -272,32 +275,21 @@ def stability_map(parameter, rows):
     """
     figure = Figure(figsize=(8.0, 5.5), dpi=DPI, layout="constrained")
     axes = figure.subplots()
-    place = [i if np.isnan(value) else value for i, (_, value, _, _) in enumerate(rows)]
+    *places, verdicts = points
     for name, style in VERDICT_STYLES.items():
-        points = [
-            (x, result.spin_rate_ratio)
-            for x, (_, _, results, _) in zip(place, rows)
-            for result in results
-            if result.verdict == name
-        ]
-        if points:
-            axes.plot(*zip(*points), linestyle="", markersize=4, label=name, **style)
-    causes = sorted({rate.cause for *_, rates in rows for rate in rates})
-    for i, cause in enumerate(causes):
-        points = np.array(
-            [
-                (x, rate.spin_rate_ratio, rate.uncertainty)
-                for x, (*_, rates) in zip(place, rows)
-                for rate in rates
-                if rate.cause == cause
-            ]
-        )
+        chosen = verdicts == name
+        if chosen.any():
+            x, ratio = (place[chosen] for place in places)
+            axes.plot(x, ratio, linestyle="", markersize=4, label=name, **style)
+    *places, causes = critical
+    for i, cause in enumerate(sorted(set(causes))):
         axes.errorbar(
-            *points.T, fmt=MARKERS[i % len(MARKERS)], color=COLOURS[i % len(COLOURS)],
-            markersize=6, markerfacecolor="none", capsize=3, label=f"critical: {cause}",
+            *(place[causes == cause] for place in places), fmt=MARKERS[i % len(MARKERS)],
+            color=COLOURS[i % len(COLOURS)], markersize=6, markerfacecolor="none", capsize=3,
+            label=f"critical: {cause}",
         )
-    if any(np.isnan(value) for _, value, _, _ in rows):
-        axes.set_xticks(place, [label for label, *_ in rows], rotation=20, ha="right")
+    if labels:
+        axes.set_xticks(range(len(labels)), labels, rotation=20, ha="right")
     finish(axes, parameter, "spin rate over orbital rate, ω/Ω [-]")
     legend_below(figure, axes, columns=3)
     return figure

@@ -16,7 +16,7 @@ from tss_interfaces.action import Sweep
 from tss_interfaces.msg import SweepRow
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
-from tss_ros import parameters, translate
+from tss_ros import cluster, parameters, translate
 from tss_ros import stability_requests as requests
 from tss_ros.core import (
     Cancelled,
@@ -48,8 +48,16 @@ class StabilityNode(TssNode):
 
     def __init__(self):
         super().__init__("stability_node")
-        options = parameters.read_parameters(self, (parameters.SCENARIO,), parameters.OVERRIDES)
+        options = parameters.read_parameters(
+            self, (parameters.SCENARIO,), parameters.STABILITY, parameters.OVERRIDES
+        )
         self._scenario = options.pop("scenario")
+        if scheduler := options.pop("scheduler"):
+            self._outcomes = functools.partial(
+                cluster.sweep, scheduler=cluster.check_address(scheduler)
+            )
+        else:
+            self._outcomes = sweep
         self._overrides = options
         # Built once here so that a wrong system is refused at the start, not at the first request.
         self._build({})
@@ -212,7 +220,8 @@ class StabilityNode(TssNode):
         progress.total = total = len(plan.jobs)
         pieces = [None] * total
         try:
-            for index, outcome in sweep([job for _, job in plan.jobs], cancelled=cancelled):
+            jobs = (job for _, job in plan.jobs)
+            for index, outcome in self._outcomes(jobs, cancelled=cancelled):
                 i, job = plan.jobs[index]
                 pieces[index] = self._piece(rows[i].value, job, outcome)
                 progress.add(i, pieces[index])

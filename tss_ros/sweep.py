@@ -1,211 +1,177 @@
-"""Stability over spin rates, scenarios and values of a parameter, computed here on all cores."""
+"""Stability over spin rates, scenarios and values of a parameter, on all cores or a cluster."""
 
 import argparse
-import csv
+import contextlib
 import math
 import signal
 import sys
+import tempfile
 import threading
-from dataclasses import dataclass, field
+import time
 from pathlib import Path
 
 import numpy as np
 
-from tss_ros import plots, scenario
-from tss_ros.core import Cancelled, Check, Interval, Rate, System, TssError, sweep
+from tss_ros import cluster, plots
+from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.sweep_jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, Question
+from tss_ros.sweep_store import Store
 
-#: How far beside a critical rate its two sides are looked at.
-BESIDE = 0.05
-RATE_FIELDS = (
-    "spin_rate_ratio",
-    "max_modulus",
-    "max_modulus_nontrivial",
-    "verdict",
-    "closure_residual",
-    "switches",
-)
-CRITICAL_FIELDS = ("spin_rate_ratio", "uncertainty", "cause", "stable_side")
+#: More rates than this are counted on the screen instead of being listed.
+MAX_LISTED = 1000
+#: How often [s] the line that shows progress is renewed.
+PROGRESS_S = 0.2
 
 
-@dataclass
-class Row:
-    """One system of a sweep and what was found for it."""
-
-    label: str
-    value: float
-    system: System
-    results: list = field(default_factory=list)
-    frozen: list = field(default_factory=list)
-    rates: list = field(default_factory=list)
-    checks: list = field(default_factory=list)
-
-
-def systems(names, parameter="", values=()):
-    """The systems a sweep is about: every scenario, with every value of a parameter.
+def compute(question, store, workers=None, scheduler="", told=None, cancelled=None):
+    """Do and record the jobs that are missing from a store.
 
     Parameters
     ----------
-    names : sequence of str
-        Scenarios, shipped or files.
-    parameter : str
-        Parameter to vary, given to all its elements; "" for none.
-    values : sequence of float
-
-    Returns
-    -------
-    list of Row
-
-    Raises
-    ------
-    TssError
-        If a scenario or a value is not allowed.
-    """
-    rows = []
-    for name in names:
-        template = scenario.load(name)
-        if not parameter:
-            rows.append(Row(name, math.nan, template.build()))
-        for value in values:
-            label = f"{name} {parameter}={value:g}"
-            rows.append(Row(label, value, template.build({parameter: value})))
-    return rows
-
-
-def compute(
-    rows, ratios=(), interval=None, tolerance=1e-3, turns=0, workers=None, told=None, cancelled=None
-):
-    """Fill rows with multipliers, critical rates and, beside these, disturbed simulations.
-
-    Parameters
-    ----------
-    rows : list of Row
-    ratios : sequence of float
-        Spin rates at which multipliers are wanted.
-    interval : tuple of float, optional
-        Spin rates between which critical rates are searched.
-    tolerance : float
-        Largest uncertainty of a critical rate.
-    turns : int
-        Length of the simulations `BESIDE` every critical rate; 0 for none.
+    question : Question
+    store : Store
     workers : int, optional
+        Threads of this process; as many as there are cores if not given.
+    scheduler : str
+        Address of a Dask scheduler whose workers do it instead; "" for none.
     told : callable, optional
-        Called with the number of jobs done and of all jobs.
+        Called after every job.
     cancelled : callable, optional
 
     Raises
     ------
     TssError
-        The first failure, once everything else is done.
+        If the sweep cannot go on; jobs that fail are recorded and raise nothing.
     Cancelled
-        If `cancelled` said so; rows then hold what was done.
+        If `cancelled` said so.
     """
-    jobs = [
-        (row, kind, Rate(row.system, float(ratio), method))
-        for row in rows
-        for ratio in ratios
-        for kind, method in (("results", "monodromy"), ("frozen", "frozen"))
-    ]
-    if interval:
-        jobs += [(row, "rates", Interval(row.system, *interval, tolerance)) for row in rows]
-    failure = _run(jobs, workers, told, cancelled)
-    checks = [
-        (row, "checks", Check(row.system, rate.spin_rate_ratio + side * BESIDE, turns))
-        for row in rows
-        if turns
-        for rate in row.rates
-        for side in (-1, 1)
-    ]
-    failure = _run(checks, workers, told, cancelled) or failure
-    if failure:
-        raise failure
-
-
-def _run(jobs, workers, told, cancelled):
-    outcomes = [None] * len(jobs)
-    failure = None
-    try:
-        done = sweep([job for _, _, job in jobs], workers, cancelled)
-        for count, (index, outcome) in enumerate(done, 1):
-            if isinstance(outcome, TssError):
-                failure = TssError(f"{jobs[index][0].label}: {outcome}")
-            else:
-                outcomes[index] = outcome
+    missing = store.missing(len(question))
+    jobs = (question.job(number) for number in missing)
+    if scheduler:
+        outcomes = cluster.sweep(jobs, scheduler, cancelled)
+    else:
+        outcomes = sweep(jobs, workers, cancelled)
+    with contextlib.closing(outcomes):
+        for index, outcome in outcomes:
+            store.record(missing[index], *outcome)
             if told:
-                told(count, len(jobs))
-    finally:
-        for (row, kind, _), outcome in zip(jobs, outcomes):
-            if outcome is not None:
-                found = outcome if isinstance(outcome, list) else [outcome]
-                getattr(row, kind).extend(found)
-    return failure
+                told()
 
 
-def table(rows):
-    """What was found, as lines of text.
+def table(question, store):
+    """What was found, as lines of text; of more than `MAX_LISTED` jobs, only how often.
 
     Parameters
     ----------
-    rows : list of Row
+    question : Question
+    store : Store
 
     Returns
     -------
     str
     """
+    if len(question) > MAX_LISTED:
+        return "\n".join(_counts(store))
     lines = []
-    for row in rows:
-        lines.append(row.label)
-        frozen = {result.spin_rate_ratio: result.max_modulus for result in row.frozen}
-        for result in row.results:
-            ratio = result.spin_rate_ratio
-            lines.append(
-                f"  {ratio:9.4f}  {result.verdict:22}"
-                f"  |rho| {result.max_modulus_nontrivial:11.6f}"
-                f"  (frozen {frozen.get(ratio, math.nan):.6f})"
-                f"  closure {result.closure_residual:.0e}  switches {result.switches}"
-            )
-        for rate in row.rates:
-            side = "above" if rate.stable_side > 0 else "below"
-            lines.append(
-                f"  {rate.spin_rate_ratio:9.4f} +- {rate.uncertainty:.4f}  {rate.cause:18}"
-                f"  stable {side}"
-            )
-            for result, seen in row.checks:
-                apart = abs(result.spin_rate_ratio - rate.spin_rate_ratio)
-                if math.isclose(apart, BESIDE, rel_tol=1e-6):
-                    lines.append(f"      {_check(result, seen)}")
-        if not (row.results or row.rates):
+    rates, critical, simulated = (
+        _by_system(question, store, name) for name in (MULTIPLIERS, CRITICAL_RATES, SIMULATIONS)
+    )
+    for label in dict.fromkeys(map(question.label, range(len(question)))):
+        lines.append(label)
+        rows = rates.get(label, [])
+        frozen = {
+            row["spin_rate_ratio"]: row["max_modulus"]
+            for row in rows
+            if row["method"] == "frozen" and not row["error"]
+        }
+        for row in rows:
+            if row["method"] != "frozen" or question.methods == ["frozen"]:
+                lines.append(_rate(row, frozen))
+        for row in critical.get(label, ()):
+            lines.append(_critical(row))
+            beside = row["spin_rate_ratio"]
+            lines += [
+                _simulation(r) for r in simulated.get(label, ()) if r["critical_rate"] == beside
+            ]
+        if question.interval and label not in critical:
             lines.append("  no critical rate found")
     return "\n".join(lines)
 
 
-def _check(result, seen):
-    words = f"{result.spin_rate_ratio:9.4f}  {result.verdict:22}"
-    if seen is None:
-        return f"{words}  nothing to simulate: {result.message}"
-    held = "held" if seen.held else "lost"
-    agrees = {True: "agrees", False: "DISAGREES", None: "too slow to tell"}
+def _by_system(question, store, name):
+    rows = {}
+    for row in store.table(name).to_pylist():
+        rows.setdefault(question.label(row["job"]), []).append(row)
+    return rows
+
+
+def _rate(row, frozen):
+    if row["error"]:
+        return f"  {row['spin_rate_ratio']:9.4f}  {row['error']}"
+    ratio = row["spin_rate_ratio"]
+    beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
     return (
-        f"{words}  |rho| {result.max_modulus_nontrivial:9.4f}  simulated: {held},"
-        f" growth {seen.growth_per_turn:8.4f} a turn, {seen.switches} switches:"
-        f" {agrees[seen.agrees_with(result)]}"
+        f"  {ratio:9.4f}  {row['verdict']:22}  |rho| {row['max_modulus_nontrivial']:11.6f}{beside}"
+        f"  closure {row['closure_residual']:.0e}  switches {row['switches']}"
     )
 
 
-def write_csv(rows, folder):
-    """Write the tables of multipliers and of critical rates into a folder, those there are."""
-    for name, fields, kind in (
-        ("multipliers.csv", RATE_FIELDS, "results"),
-        ("frozen_multipliers.csv", RATE_FIELDS, "frozen"),
-        ("critical_rates.csv", CRITICAL_FIELDS, "rates"),
-    ):
-        lines = [
-            [row.label, row.value, *(getattr(found, field) for field in fields)]
-            for row in rows
-            for found in getattr(row, kind)
-        ]
-        if lines:
-            with (folder / name).open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([["system", "value", *fields], *lines])
+def _critical(row):
+    if row["error"]:
+        return f"  {row['error']}"
+    side = "above" if row["stable_side"] > 0 else "below"
+    return (
+        f"  {row['spin_rate_ratio']:9.4f} +- {row['uncertainty']:.4f}  {row['cause']:18}"
+        f"  stable {side}"
+    )
+
+
+def _simulation(row):
+    words = f"      {row['spin_rate_ratio']:9.4f}  {row['verdict'] or '':22}"
+    if row["error"] or row["simulated_held"] is None:
+        return f"{words}  nothing to simulate: {row['error'] or row['message']}"
+    held = "held" if row["simulated_held"] else "lost"
+    agrees = {True: "agrees", False: "DISAGREES", None: "too slow to tell"}
+    return (
+        f"{words}  |rho| {row['max_modulus_nontrivial']:9.4f}  simulated: {held},"
+        f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
+        f" {row['simulated_switches']} switches: {agrees[row['agrees']]}"
+    )
+
+
+def _counts(store):
+    """How often there is which verdict and which cause."""
+    for name, column in ((MULTIPLIERS, "verdict"), (CRITICAL_RATES, "cause")):
+        values = store.table(name, [column])[column].drop_null()
+        for count in sorted(values.value_counts().to_pylist(), key=lambda c: -c["counts"]):
+            yield f"  {count['counts']:9}  {count['values']}"
+
+
+def draw(question, store):
+    """The map of verdicts and critical rates.
+
+    Parameters
+    ----------
+    question : Question
+    store : Store
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    place = np.array([i if math.isnan(v) else v for i, (_, v, _) in enumerate(question.systems)])
+
+    def columns(name, *wanted):
+        found = store.table(name, ["job", *wanted]).drop_null()
+        jobs, *values = (found[column].to_numpy() for column in ("job", *wanted))
+        return place[question.system_index(jobs)], *values
+
+    return plots.stability_map(
+        question.parameter or "scenario",
+        columns(MULTIPLIERS, "spin_rate_ratio", "verdict"),
+        columns(CRITICAL_RATES, "spin_rate_ratio", "uncertainty", "cause"),
+        () if question.parameter else [name for name, _, _ in question.systems],
+    )
 
 
 def main(argv=None):
@@ -219,44 +185,76 @@ def main(argv=None):
     options = _parse(sys.argv[1:] if argv is None else argv)
     stopped = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: stopped.set())
-    status = 0
-    rows = []
     try:
-        rows = systems(options.scenario, options.parameter, options.values)
-        if options.output:
-            options.output.mkdir(parents=True, exist_ok=True)
-        compute(
-            rows,
-            options.rates,
-            options.critical,
-            options.tolerance,
-            options.confirm,
-            options.workers,
-            _progress if sys.stderr.isatty() else None,
-            stopped.is_set,
-        )
-    except Cancelled:
-        print("sweep: interrupted; this is what was done", file=sys.stderr)
-        status = 130
+        question = Question(
+            options.scenario, options.parameter, options.values, options.rates,
+            options.methods, options.critical, options.tolerance, options.confirm,
+        )  # fmt: skip
+        with (
+            tempfile.TemporaryDirectory(prefix="sweep_") as scratch,
+            Store(options.output or Path(scratch), question) as store,
+        ):
+            return _sweep(question, store, options, stopped.is_set)
     except (TssError, OSError) as error:
         print(f"sweep: {error}", file=sys.stderr)
-        status = 1
-    if rows:
-        print(table(rows))
-        if options.output:
-            write_csv(rows, options.output)
-            name = options.parameter or "scenario"
-            figure = plots.stability_map(
-                name, [(r.label, r.value, r.results, r.rates) for r in rows]
-            )
-            figure.savefig(options.output / "map.png")
-    return status
+        return 1
 
 
-def _progress(done, total):
-    print(
-        f"\r{done} of {total} jobs", end="\n" if done == total else "", file=sys.stderr, flush=True
-    )
+def _sweep(question, store, options, cancelled):
+    """Do what is missing and show what there is."""
+    status, total = 0, len(question)
+    if options.retry:
+        store.forget_failures()
+    show = _Progress(store, total) if sys.stderr.isatty() else None
+    again = "; the same command goes on from here" if options.output else ""
+    try:
+        compute(question, store, options.workers, options.scheduler, show, cancelled)
+        words = ""
+    except Cancelled:
+        words, status = "interrupted", 130
+    except (TssError, OSError) as error:
+        words, status = str(error), 1
+    if show:
+        print(file=sys.stderr)
+    if words:
+        print(f"sweep: {words}; {store.done} of {total} jobs are done{again}", file=sys.stderr)
+    store.flush()
+    print(table(question, store))
+    if options.output:
+        draw(question, store).savefig(options.output / "map.png")
+    if failure := store.failures().fetchone():
+        number, error = failure
+        again = "; --retry runs them again" if options.output else ""
+        print(
+            f"sweep: {store.failed} of {total} jobs failed, first {question.label(number)}:"
+            f" {error}{again}",
+            file=sys.stderr,
+        )
+    return status or int(failure is not None)
+
+
+class _Progress:
+    """The line on a terminal that says how far a sweep is; called after each job."""
+
+    def __init__(self, store, total):
+        self._store, self._total = store, total
+        self._first, self._begun, self._shown = store.done, time.monotonic(), -PROGRESS_S
+
+    def __call__(self):
+        done, now = self._store.done, time.monotonic()
+        if now - self._shown < PROGRESS_S and done < self._total:
+            return
+        self._shown = now
+        rate = (done - self._first) / max(now - self._begun, 1e-9)
+        left = int((self._total - done) / rate)
+        print(
+            f"\r{done} of {self._total} jobs, {rate:.3g}/s,"
+            f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left,"
+            f" {self._store.failed} failed\033[K",
+            end="",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _parse(arguments):
@@ -267,42 +265,48 @@ def _parse(arguments):
         "scenario", nargs="*", default=["three_star"], help="shipped names or files (three_star)"
     )
     parser.add_argument(
-        "--rates",
-        nargs=3,
-        type=float,
-        default=(),
-        metavar=("FROM", "TO", "COUNT"),
-        help="multipliers at so many spin rates, beside those of the frozen method",
-    )
+        "--rates", nargs=3, type=float, metavar=("FROM", "TO", "COUNT"),
+        help="multipliers at so many spin rates",
+    )  # fmt: skip
     parser.add_argument(
-        "--critical",
-        nargs=2,
-        type=float,
-        metavar=("FROM", "TO"),
+        "--methods", nargs="+", choices=METHODS, default=list(METHODS),
+        help="of multipliers (both: the motion's own, and the paper's frozen ones beside)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--critical", nargs=2, type=float, metavar=("FROM", "TO"),
         help="all critical spin rates between two",
-    )
+    )  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of critical rates (0.001)")
     parser.add_argument(
-        "--confirm",
-        type=int,
-        default=0,
-        metavar="TURNS",
+        "--confirm", type=int, default=0, metavar="TURNS",
         help=f"simulate disturbed formations {BESIDE} beside critical rates",
-    )
+    )  # fmt: skip
     parser.add_argument("--parameter", default="", help="parameter to vary, e.g. damping_n_s_per_m")
     parser.add_argument("--values", nargs="+", type=float, default=[], metavar="VALUE")
     parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="write tables and a map there")
+    parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS",
+        help="of a Dask cluster that does the jobs instead, e.g. tcp://127.0.0.1:8786",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="keep Parquet tables and a map there, and go on with what is there",
+    )  # fmt: skip
+    parser.add_argument("--retry", action="store_true", help="run jobs that failed there again")
     options = parser.parse_args(arguments)
     if bool(options.parameter) != bool(options.values):
         parser.error("--parameter and --values go together")
-    if not (len(options.rates) or options.critical):
+    if not (options.rates or options.critical):
         parser.error("give --rates or --critical")
     if options.confirm < 0 or options.confirm and not options.critical:
         parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
-    if len(options.rates):
+    if options.workers is not None and options.scheduler:
+        parser.error("--workers are this machine's; those of --scheduler are started beside it")
+    if options.retry and not options.output:
+        parser.error("--retry needs --output")
+    if options.rates:
         first, last, count = options.rates
         if not (count == int(count) and 1 <= count <= 1_000_000):
             parser.error(f"COUNT is {count:g}; allowed: whole numbers from 1 to 1000000")
-        options.rates = np.linspace(first, last, int(count))
+        options.rates = first, last, int(count)
     return options

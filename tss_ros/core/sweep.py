@@ -1,8 +1,9 @@
 """Many spin rates and systems at once, on all cores."""
 
+import itertools
 import os
 import threading
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 from tss_ros.core.confirmation import confirm
@@ -10,6 +11,9 @@ from tss_ros.core.critical import find_critical_rates
 from tss_ros.core.errors import Cancelled, TssError
 from tss_ros.core.floquet import compute_floquet
 from tss_ros.core.system import System
+
+#: Jobs under way and ready for every worker, so that none has to wait for the next.
+AHEAD = 2
 
 
 @dataclass(frozen=True)
@@ -73,8 +77,8 @@ def sweep(jobs, workers=None, cancelled=None):
 
     Parameters
     ----------
-    jobs : sequence of Rate, Interval or Check
-        Anything with ``run(cancelled)``.
+    jobs : iterable of Rate, Interval or Check
+        Anything with ``run(cancelled)``; taken as they are needed, so that there may be millions.
     workers : int, optional
         Jobs at a time; as many as there are cores if not given.
     cancelled : callable, optional
@@ -109,13 +113,18 @@ def sweep(jobs, workers=None, cancelled=None):
         return job.run(stopped)
 
     pool = ThreadPoolExecutor(workers, thread_name_prefix="sweep")
+    coming, index_of = enumerate(jobs), {}
     try:
-        index_of = {pool.submit(run, job): index for index, job in enumerate(jobs)}
-        for future in as_completed(index_of):
-            error = future.exception()
-            if isinstance(error, Cancelled) or not isinstance(error, (TssError, type(None))):
-                raise error
-            yield index_of[future], error or future.result()
+        while True:
+            for index, job in itertools.islice(coming, AHEAD * workers - len(index_of)):
+                index_of[pool.submit(run, job)] = index
+            if not index_of:
+                return
+            for future in wait(index_of, return_when=FIRST_COMPLETED).done:
+                index, error = index_of.pop(future), future.exception()
+                if isinstance(error, Cancelled) or not isinstance(error, (TssError, type(None))):
+                    raise error
+                yield index, error or future.result()
     finally:
         closing.set()
         pool.shutdown(cancel_futures=True)
