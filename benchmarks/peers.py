@@ -224,7 +224,7 @@ def cvode(problem, tolerance, method="BDF"):
             now, x = solution.t[-1], np.array(solution.y[-1])
             equations.stretch(x, excess, growth)
             edge = np.abs(excess) <= ON_EDGE * rest
-            run.switches += np.count_nonzero(edge & (taut != (growth > 0.0)))
+            run.switches += int(np.count_nonzero(edge & (taut != (growth > 0.0))))
             taut[edge] = growth[edge] > 0.0
         return problem.from_turning(x)
 

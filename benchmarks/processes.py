@@ -15,6 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv-benchmarks"
+COMPARED = "numpy scipy numba heyoka scikit-sundae CyRK diffrax jax casadi".split()
 LOCK = ROOT / "requirements" / "benchmarks.txt"
 #: Set where OpenBLAS would choose wrong kernels or too many threads; solvers are measured without.
 UNSET = ("OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE")
@@ -28,7 +29,7 @@ def peers_python():
         print(f"installing the solvers to compare with into {VENV.name}", flush=True)
         base = getattr(sys, "_base_executable", sys.executable)
         subprocess.run([os.path.realpath(base), "-m", "venv", "--clear", VENV], check=True)
-        pip = [python, "-m", "pip", "install", "--quiet", "--no-deps", "-r", LOCK]
+        pip = [python, "-m", "pip", "install", "-qq", "--no-deps", "-r", LOCK]
         subprocess.run([*pip, "--only-binary", ":all:"], check=True)
         stamp.write_text(wanted)
     return str(python)
@@ -37,13 +38,12 @@ def peers_python():
 def environment(**more):
     """The environment that everything is measured in."""
     env = {name: value for name, value in os.environ.items() if name not in UNSET}
-    # of ROS from wheels: only this package may be found, not the packages beside it
     env["PYTHONPATH"] = str(ROOT)
     env["BENCHMARKS_CACHE"] = str(VENV / "heyoka-cache")
     return {**env, **more}
 
 
-def machine(python=None):
+def machine(python):
     """What was measured on, when, with what and beside what load."""
     model = "unknown processor"
     with contextlib.suppress(OSError, StopIteration):
@@ -60,23 +60,20 @@ def machine(python=None):
     }
 
 
-def versions(python=None):
-    """Versions of what is compared, in the environment of another Python if one is given."""
-    names = ("numpy", "scipy", "numba", "heyoka", "scikit-sundae", "CyRK", "diffrax", "jax", "casadi")
-    code = f"from benchmarks.processes import installed; print(installed({names!r}))"
-    if python is None:
-        return installed(names)
+def versions(python):
+    """Versions of what is compared, in the environment of another Python."""
+    code = "import json; from benchmarks.processes import installed; print(json.dumps(installed()))"
     told = subprocess.run(
-        [python, "-c", f"import json; {code.replace('print(', 'print(json.dumps(')})"],
-        capture_output=True, text=True, env=environment(), check=True,
+        [python, "-c", code], cwd=ROOT, env=environment(), capture_output=True, text=True,
+        check=True,
     )
     return json.loads(told.stdout)
 
 
-def installed(names):
-    """Versions of those distributions of `names` that are installed."""
+def installed():
+    """Versions of those of `COMPARED` that are installed."""
     found = {}
-    for name in names:
+    for name in COMPARED:
         with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
     return found
@@ -117,6 +114,6 @@ def measured(python, case, solver, limit_s, **more):
         told = [line for line in out.read().splitlines() if line.startswith("{")]
     told = [json.loads(line) for line in told if line.endswith("}")]
     result = {key: value for line in (*told, *lines) for key, value in line.items()}
-    if "ms" not in result and "note" not in result and not more:
+    if not {"ms", "note", "first_answer_s"} & set(result):
         result["note"] = f"ended with status {process.returncode}"
     return result

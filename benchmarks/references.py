@@ -3,9 +3,9 @@
     python -m benchmarks.references [--renew] [CASE ...]
 
 computes them afresh, prints how far they are from the stored ones and from each other, and with
---renew stores them. Where heyoka's Taylor method in 80-bit arithmetic can do a case, the reference
-is its run with tolerance 1e-18, beside one with 1e-15; otherwise this package's integrator with
-nine stages beside CVODE, both as accurate as they go. This package's integrator is always beside.
+--renew stores them. Of the 3-star the reference is heyoka's Taylor method in 80-bit arithmetic at
+tolerance 1e-18, beside its run at 1e-15 and this package's integrator. Beads in the tethers are too
+stiff for it: there it is this package's integrator with nine stages, beside CVODE and Radau.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import heyoka_peer, peers, problems, solvers
+from benchmarks import heyoka_peer, peers, problems, solvers, variations
 
 STORED = Path(__file__).with_name("references.json")
 #: Largest system whose matrix is stored.
@@ -33,24 +33,23 @@ def compute(case):
     """The reference of a case and its distances from others."""
     problem = problems.Problem(case)
     turn = case in problems.TURNS or case in problems.LONG_TURNS
-    long = case in problems.LONG_MOTIONS or case in problems.LONG_TURNS
-    finest = {"stages": 9}
+    ours = solvers.our_monodromy if turn else solvers.ours
+    finest = ours(problem, 1e-13, stages=9)
+    others = {}
     if turn:
-        others = {
-            "ours 1e-13": solvers.our_monodromy(problem, 1e-13, **finest),
-            "ours 1e-12, 3 segments": solvers.our_monodromy(problem, 1e-12, segments=3),
-        }
-        make, real = heyoka_peer.monodromy, {"real": np.longdouble}
+        others["ours 1e-12, 3 segments"] = ours(problem, 1e-12, segments=3)
+    if problem.n == 3:
+        make = heyoka_peer.monodromy if turn else heyoka_peer.motion
+        best, source = make(problem, 1e-18, real=np.longdouble)(), "heyoka, 80 bits, 1e-18"
+        others["heyoka, 80 bits, 1e-15"] = make(problem, 1e-15, real=np.longdouble)
+        others["ours, nine stages, 1e-13"] = finest
     else:
-        others = {"ours 1e-13": solvers.ours(problem, 1e-13, **finest)}
-        make, real = heyoka_peer.motion, {"real": np.longdouble, "compact_mode": problem.n > 6}
-    if long:
-        best, source = others.pop("ours 1e-13")(), "ours, nine stages at 1e-13"
+        best, source = finest(), "ours, nine stages, 1e-13"
         if not turn:
             others["CVODE 1e-14"] = peers.cvode(problem, 1e-14)
-    else:
-        best, source = make(problem, 1e-18, **real)(), "heyoka, 80 bits, at 1e-18"
-        others["heyoka, 80 bits, at 1e-15"] = make(problem, 1e-15, **real)
+            others["scipy Radau 1e-12"] = peers.scipy_compiled(problem, 1e-12, "Radau")
+        elif problem.n <= MATRIX_BEADS:
+            others["scipy Radau 1e-9"] = variations.augmented(problem, 1e-9, "Radau")
     kept = {"source": source}
     if turn:
         kept["modulus"] = problems.largest_modulus(best)
