@@ -1,0 +1,1 @@
+"""This package's integrator, sweeps and nodes measured side by side with public tools."""
