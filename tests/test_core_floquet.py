@@ -18,7 +18,7 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
-from tss_ros.core.floquet import frozen_jacobian
+from tss_ros.core.frozen import frozen_jacobian
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import turn
 

@@ -6,18 +6,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tss_ros.core import blocklu, forces
+from tss_ros.core import forces, krylov
 from tss_ros.core.certificate import convergence_error, liouville_error, segment_error
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.families import FAMILIES, label
+from tss_ros.core.frozen import frozen_jacobian
+from tss_ros.core.linear_flow import carry
 from tss_ros.core.motion import Flow
-from tss_ros.core.periodic import CLOSED, closure, corrected, to_scaled, turn
+from tss_ros.core.periodic import CLOSED, closure, corrected, from_scaled, to_scaled, turn
 from tss_ros.core.steady_state import averaged_state, initial_state, rotating
 from tss_ros.core.system import State
 
 METHODS = ("monodromy", "frozen")
-VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion")
+VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion", "undecided")
 
+#: Most beads of which all multipliers are computed unless asked, and how many of others.
+MOST_BEADS, LEADING = 100, 12
 #: Smallest distance from the unit circle that is ever called one.
 SMALLEST_TOLERANCE = 1e-6
 #: Smallest distance from 1 within which a multiplier may be part of a split Jordan block.
@@ -36,15 +40,16 @@ class FloquetResult:
         w = omega / Omega.
     spin_rate_rad_s, period_s : float
         omega [rad/s] and T = 2 pi / |omega| [s].
-    multiplier : ndarray, shape (6n,), complex
+    multiplier : ndarray, shape (6n,) or (leading,), complex
         Largest modulus first; empty if there is no configuration or the motion is chaotic.
     family : tuple of str, as long
         One of `FAMILIES` for each multiplier.
     max_modulus, max_modulus_nontrivial : float
-        Over all, and over those of axis tilt and shape.
+        Over all, and over those of axis tilt and shape; of leading ones, over those found.
     verdict : str
         One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
-        the centre of mass never decay, so Eq. (47) cannot hold for them.
+        the centre of mass never decay, so Eq. (47) cannot hold for them. "undecided": none of the
+        leading multipliers that were found lies outside, but some were not found.
     tolerance : float
         Distance from the unit circle that the verdict counts as lying on it. Near 1, within
         twice the root of the closure residual, where the drift of a damped motion splits Jordan
@@ -79,6 +84,8 @@ class FloquetResult:
         Start of the motion analysed.
     message : str
         Remarks for the reader.
+    residual : ndarray, shape (leading,)
+        |M v - rho v| / |v| of leading multipliers; empty where the whole matrix was computed.
     """
 
     method: str
@@ -103,11 +110,12 @@ class FloquetResult:
     convergence_error: float = math.nan
     liouville_error: float = math.nan
     message: str = ""
+    residual: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
 
 
 def compute_floquet(
     system, spin_rate_ratio, method="monodromy", state=None, correct=True, rtol=1e-9,
-    certify=True, cancelled=None,
+    certify=True, cancelled=None, leading=None,
 ):
     """Floquet multipliers at one spin rate.
 
@@ -132,6 +140,9 @@ def compute_floquet(
         Liouville's formula: some four times the work of the matrix itself ("monodromy" only).
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
+    leading : int, optional
+        Find so many multipliers of largest modulus without the matrix ("monodromy" only): the
+        default, with `LEADING`, above `MOST_BEADS` beads. Not certified.
 
     Returns
     -------
@@ -158,6 +169,12 @@ def compute_floquet(
     if method == "frozen":
         residual, switches = closure(flow, start, cancelled)
         return _frozen(flow, start, float(np.linalg.norm(residual)), switches)
+    if leading is None and system.n > MOST_BEADS:
+        leading = LEADING
+    if leading is not None:
+        if not 1 <= leading < 6 * system.n:
+            raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
+        return _leading(flow, start, leading, correct, cancelled)
     try:
         if correct:
             starts = _starts(system, spin_rate_ratio, start, given)
@@ -232,6 +249,53 @@ def _judge(flow, latest, initial, correct, certify, cancelled):
     )
 
 
+def _leading(flow, initial, count, correct, cancelled):
+    """The result of `krylov`, as far as its multipliers were found."""
+    try:
+        initial_closure = float(np.linalg.norm(closure(flow, initial, cancelled)[0]))
+        start = krylov.closed(flow, initial, cancelled) if correct else initial
+        multiplier, vectors, residual, turns = krylov.leading_multipliers(
+            flow, start, count, cancelled
+        )
+        along = _flow_direction(flow, start)
+        period = 2.0 * math.pi / abs(flow.plant.spin)
+        motion, carried = carry(flow, flow.begin(start), along[:, None], period, cancelled)
+    except IntegrationError as error:
+        return _nothing("monodromy", flow.system, flow.plant.spin, initial, str(error))
+    scale = np.repeat([flow.control.speed, flow.control.length], 3 * flow.system.n)
+    end = np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
+    missed_by = float(np.linalg.norm(end - to_scaled(flow, start)))
+    missed = _flow_direction(flow, from_scaled(flow, end)) - carried[:, 0]
+    family = label(flow.system, start, multiplier, vectors)
+    on_circle = np.abs(np.abs(multiplier) - 1.0)
+    drift = max(SMALLEST_DRIFT, 2.0 * math.sqrt(missed_by))
+    near = np.abs(multiplier - 1.0) <= drift
+    found = residual <= krylov.CONVERGED * np.abs(multiplier)
+    centre, spin = found & (family == FAMILIES[0]), found & (family == "spin")
+    trivial = float(np.max(on_circle[centre & ~near], initial=0.0))
+    jordan = float(np.max(on_circle[(centre & near) | spin], initial=0.0))
+    tolerance = np.maximum(SMALLEST_TOLERANCE, 10.0 * np.maximum(trivial, residual))
+    tolerance[near] = np.maximum(tolerance[near], 3.0 * jordan)
+    periodic = missed_by <= CLOSED or not correct
+    words = f"start from {_origin(initial)}"
+    if correct:
+        words += f", corrected from closure residual {initial_closure:.1e}"
+    words += f"; {np.count_nonzero(found)} of {count} leading multipliers found in {turns} turns"
+    return _result(
+        "monodromy", flow, multiplier, family, tolerance, periodic, jordan > drift,
+        residual=residual,
+        closure_residual=missed_by,
+        initial_closure_residual=initial_closure,
+        trivial_error=trivial,
+        jordan_error=jordan,
+        det_z_error=math.nan,
+        flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
+        switches=int(motion.count[3]),
+        state=start,
+        message=words,
+    )
+
+
 def _remark(initial, initial_closure, latest, correct, periodic, tolerance):
     words = f"start from {_origin(initial)}"
     if correct:
@@ -273,16 +337,22 @@ def _frozen(flow, state, residual, switches):
     )
 
 
-def _result(method, flow, multiplier, family, tolerance, periodic, drifting, **rest):
+def _result(
+    method, flow, multiplier, family, tolerance, periodic, drifting, residual=(), **rest
+):
     order = np.argsort(-np.abs(multiplier), kind="stable")
     multiplier, family, tolerance = multiplier[order], family[order], tolerance[order]
+    residual = np.asarray(residual)[order] if len(residual) else np.empty(0)
     modulus = np.abs(multiplier)
+    found = residual <= krylov.CONVERGED * modulus if residual.size else modulus >= 0.0
     shape = family == "shape"
-    nontrivial = shape | (family == "axis tilt")
+    nontrivial = found & (shape | (family == "axis tilt"))
     if not periodic:
         verdict = "no periodic motion"
     elif np.any(modulus[nontrivial] > 1.0 + tolerance[nontrivial]) or drifting:
         verdict = "unstable"
+    elif not found.all():
+        verdict = "undecided"
     elif shape.any() and np.all(modulus[shape] < 1.0 - tolerance[shape]):
         verdict = "asymptotically stable"
     else:
@@ -290,40 +360,10 @@ def _result(method, flow, multiplier, family, tolerance, periodic, drifting, **r
     spin = flow.plant.spin
     return FloquetResult(
         method, spin / flow.system.orbit_rate_rad_s, spin, 2.0 * math.pi / abs(spin), multiplier,
-        tuple(str(name) for name in family), float(modulus[0]),
-        float(np.max(modulus[nontrivial], initial=0.0)), verdict, float(np.min(tolerance)), **rest,
+        tuple(str(name) for name in family), float(np.max(modulus[found], initial=0.0)),
+        float(np.max(modulus[nontrivial], initial=0.0)), verdict, float(np.min(tolerance)),
+        residual=residual, **rest,
     )
-
-
-def frozen_jacobian(system, state, speed=1.0, length=1.0):
-    """J_0 = dF/dx of Eq. (52) in the orbit frame at t = 0, states ordered as in Eq. (29).
-
-    Parameters
-    ----------
-    system : System
-    state : State
-    speed, length : float
-        Units of velocity [m/s] and position [m]; 1 gives SI.
-
-    Returns
-    -------
-    ndarray, shape (6n, 6n)
-        [1/s] in these units.
-    """
-    n = system.n
-    plant = forces.plant(system, 0.0)
-    symbolic = blocklu.analyse(n, system.tether_ends)
-    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    taut = forces.tether_state(system, state.position_m, state.velocity_m_s)[2] | system.bilateral
-    forces.jacobian(
-        plant, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
-    )
-    matrix = np.zeros((2, n, 3, 2, n, 3))
-    matrix[0, symbolic.row, :, 0, symbolic.column, :] = by_v
-    matrix[0, symbolic.row, :, 1, symbolic.column, :] = by_r * (length / speed)
-    matrix = matrix.reshape(6 * n, 6 * n)
-    matrix[3 * n :, : 3 * n] = np.eye(3 * n) * (speed / length)
-    return matrix
 
 
 def _det_z_error(latest):

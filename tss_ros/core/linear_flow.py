@@ -19,7 +19,7 @@ BLOCK = 96
 MOST_STEPS = 50_000
 
 
-def carry(flow, motion, displacement, stop, cancelled=None):
+def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
     """Carry a motion and displacements of it to a later time, Eqs. (12)-(16).
 
     Parameters
@@ -33,6 +33,8 @@ def carry(flow, motion, displacement, stop, cancelled=None):
         [s] time to carry them to.
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
+    width : int
+        Most columns of a block.
 
     Returns
     -------
@@ -47,7 +49,7 @@ def carry(flow, motion, displacement, stop, cancelled=None):
     Cancelled
         If `cancelled` said so.
     """
-    blocks = _blocks(displacement, flow.system.n)
+    blocks = _blocks(displacement, flow.system.n, width)
     if len(blocks) == 1:
         return _carry_block(flow, motion, displacement, stop, cancelled)
     futures = [
@@ -66,10 +68,10 @@ def _pool():
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="linear_flow")
 
 
-def _blocks(displacement, beads):
+def _blocks(displacement, beads, width):
     """Indices of the columns of each block: in the orbit plane, out of it, and others apart."""
     count = displacement.shape[1]
-    if count <= BLOCK:
+    if count <= width:
         return [np.arange(count)]
     moves = displacement.reshape(2, beads, 3, count).any(axis=(0, 1))
     kind = np.where(moves[2], 1 + moves[:2].any(axis=0), 0)
@@ -78,7 +80,7 @@ def _blocks(displacement, beads):
         block
         for group in groups
         if group.size
-        for block in np.array_split(group, -(-group.size // BLOCK))
+        for block in np.array_split(group, -(-group.size // width))
     ]
 
 
@@ -90,13 +92,13 @@ def _carry_block(flow, motion, displacement, stop, cancelled):
     steps = min(50, max(1, 2000 // flow.system.n))
     while not flow.advance(motion, stop, steps=steps):
         look(motion, stop, cancelled)
-        if (growth := np.max(np.abs(motion.x_v)) / speed) > 1.0 / flow.rtol:
+        if (growth := np.max(np.abs(motion.x_v), initial=0.0) / speed) > 1.0 / flow.rtol:
             raise IntegrationError(
                 f"the motion is chaotic: variations grew {growth:.0e} times until"
                 f" {motion.time[0]:.6g} s of a turn of {stop:.6g} s, after"
                 f" {motion.count[3]} slack/taut switches"
             )
-    carried = np.concatenate([motion.x_v / speed, motion.x_r / length]).reshape(-1, count)
+    carried = np.stack([motion.x_v / speed, motion.x_r / length]).reshape(displacement.shape)
     none = np.empty((flow.system.n, 3, 0))
     return motion._replace(x_v=none, x_r=none), carried
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import root
-from scipy.sparse import bmat, csc_matrix
-from scipy.sparse.linalg import splu
 
 from tss_ros.core import blocklu, forces
 from tss_ros.core.errors import NoSteadyState
@@ -141,8 +139,7 @@ def averaged_state(system, spin_rate_ratio):
     mass = system.mass_kg
     still = np.zeros((system.n, 3))
     acceleration = np.empty((system.n, 3))
-    entries = symbolic.row.size
-    by_r, by_v = np.empty((entries, 3, 3)), np.empty((entries, 3, 3))
+    by_r, by_v = np.empty((2, symbolic.blocks, 3, 3))
 
     def imbalance(position):
         forces.acceleration(plant, taut, 0.0, still, position, acceleration)
@@ -155,8 +152,7 @@ def averaged_state(system, spin_rate_ratio):
     strain = np.sum(mass) * outward * radius / np.min(system.axial_stiffness_n)
     place *= 1.0 + min(max(strain, 1e-9), 0.05)
     scale = outward * radius * np.mean(mass)
-    rows = (3 * symbolic.row[:, None, None] + np.arange(3)[None, :, None]).repeat(3, axis=2)
-    columns = (3 * symbolic.column[:, None, None] + np.arange(3)[None, None, :]).repeat(3, axis=1)
+    pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
     rounding = 8 * np.finfo(float).eps * radius * np.max(plant.stiffness) / scale
     for _ in range(10):
         force = imbalance(place)
@@ -165,19 +161,24 @@ def averaged_state(system, spin_rate_ratio):
                 break
             forces.jacobian(plant, symbolic.pair, taut, 0.0, still, place, by_r, by_v)
             by_r[: system.n, 2, 2] -= rate**2
-            blocks = (mass[symbolic.row][:, None, None] * by_r).ravel()
-            matrix = csc_matrix((blocks, (rows.ravel(), columns.ravel())), shape=(force.size,) * 2)
-            turn = csc_matrix(rotating(place, 1.0).reshape(-1, 1)) * (scale / radius**2)
-            try:
-                step = splu(bmat([[matrix, turn], [turn.T, None]], format="csc")).solve(
-                    np.append(-force, 0.0)
-                )[:-1].reshape(-1, 3)
-            except RuntimeError:
+            # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
+            along = rotating(place[pinned : pinned + 1], 1.0)[0] / radius
+            by_r[pinned] -= np.max(np.abs(by_r[pinned])) * np.outer(along, along)
+            blocklu.factor(symbolic, by_r)
+
+            def correction(force):
+                step = -force.reshape(-1, 3) / mass[:, None]
+                blocklu.solve(symbolic, by_r, step)
+                return step
+
+            step = correction(force)
+            if not np.isfinite(step).all():
                 break
-            size = min(1.0, 0.1 * radius / max(np.max(np.abs(step)), 1e-300))
-            best = np.linalg.norm(force)
+            # Forces tell nothing of the distance to go where tethers are stiff; corrections do.
+            size = min(1.0, 0.3 * radius / max(np.max(np.abs(step)), 1e-300))
+            best = np.sum(step * step)
             trial = imbalance(place + size * step)
-            while size > 1e-6 and not np.linalg.norm(trial) < best:
+            while size > 1e-6 and not np.sum(correction(trial) ** 2) < (1.0 - size / 2) * best:
                 size *= 0.5
                 trial = imbalance(place + size * step)
             if size <= 1e-6:

@@ -22,9 +22,7 @@ def _stage_jacobians(plant, symbolic, tables, taut, t, h, v0, r0, z, rise, stage
             for p in range(3):
                 v[i, p] = v0[i, p] + z[j, i, p]
                 r[i, p] = r0[i, p] + rise[j, i, p]
-        jacobian(
-            plant, symbolic.pair, taut, t + tables.c[j] * h, v, r, stage_r[j], stage_v[j]
-        )
+        jacobian(plant, symbolic.pair, taut, t + tables.c[j] * h, v, r, stage_r[j], stage_v[j])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -138,7 +136,5 @@ def _error_estimate(symbolic, tables, control, h, by_r, b_v, b_r, real):
         for p in range(3):
             for c in range(b_v.shape[2]):
                 largest = max(largest, abs(b_v[i, p, c]) / control.speed)
-                largest = max(
-                    largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * control.length)
-                )
+                largest = max(largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * control.length))
     return largest
