@@ -7,43 +7,41 @@ explicit steps holds them back, and explicit again where implicit steps do not g
 """
 
 import math
-from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
 from tss_ros.core import taylor
-from tss_ros.core.forces import acceleration, jacobian, stretch
-from tss_ros.core.radau import add, error_estimate, newton_matrices, solve_stages
-from tss_ros.core.switching import first_switch, first_switch_of_series, toggle
-from tss_ros.core.variations import vary
+from tss_ros.core.forces import stretch
+from tss_ros.core.steps import (
+    ANY_STEP,
+    AT_ONCE,
+    BACKOFF,
+    BOTH,
+    DOUBT,
+    EXPLICIT,
+    HOLD,
+    IMPLICIT,
+    LAST,
+    NEXT,
+    REJECTED,
+    TOO_SMALL,
+    Motion,
+    Work,
+    explicit_step,
+    implicit_step,
+    interpolate,
+    to_orbit_frame,
+)
+from tss_ros.core.switching import toggle
 
-#: Where Newton's iteration does not limit the step [s]; finite, so that it can be stored anywhere.
-ANY_STEP = 1e300
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
-#: Kinds of steps, and what `Control.kind` may allow: one kind only, or both.
-IMPLICIT, EXPLICIT, BOTH = range(3)
 #: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
 #: more beads than this are always cheaper to carry implicitly.
 COST, COST_VARIED, FEW_BEADS = 3.0, 1.0, 8
 #: Share of the longest step an explicit method can bear at the fastest rate, N!^(1/N) of its
 #: inverse, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
-#: Places in `Motion.count` beyond the plain counts: kind of the next and of the last step, steps in
-#: a row that speak for the other kind, explicit steps still to be made whatever speaks against
-#: them, and how many that will be next time.
-NEXT, LAST, DOUBT, HOLD, BACKOFF = range(5, 10)
-
-#: What `advance` carries from call to call. time (5,): now, next implicit step size, start and size
-#: of the last step, largest step that Newton's iteration bears. count (10,): accepted steps,
-#: rejected steps, Newton iterations, switches, sampled times, and as above. taut (m,). v, r (n,3):
-#: state now. v0, r0 (n,3), z, rise (s,n,3): start of the last implicit step and the increments of
-#: velocity and position at its nodes. series (n,3,N+1): the last explicit step, in the orbit frame.
-#: x_v, x_r (n,3,k): variations of velocity and position, k may be 0. dissipation (1,): integral of
-#: the trace of the damping matrix over time.
-Motion = namedtuple(
-    "Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation"
-)
 
 
 def begin(plant, tables, control, v, r, columns, first_step):
@@ -88,53 +86,6 @@ def begin(plant, tables, control, v, r, columns, first_step):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _to_orbit_frame(spin, time, v, r):
-    """Turn velocities and positions (n,3,k) of the turning frame into those of the orbit frame."""
-    c, s = math.cos(spin * time), math.sin(spin * time)
-    for i in range(r.shape[0]):
-        for b in range(r.shape[2]):
-            x, y = r[i, 0, b], r[i, 1, b]
-            vx, vy = v[i, 0, b] - spin * y, v[i, 1, b] + spin * x
-            r[i, 0, b], r[i, 1, b] = c * x - s * y, s * x + c * y
-            v[i, 0, b], v[i, 1, b] = c * vx - s * vy, s * vx + c * vy
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _to_turning_frame(spin, time, v, r):
-    """Inverse of `_to_orbit_frame`."""
-    c, s = math.cos(spin * time), math.sin(spin * time)
-    for i in range(r.shape[0]):
-        for b in range(r.shape[2]):
-            x, y = c * r[i, 0, b] + s * r[i, 1, b], c * r[i, 1, b] - s * r[i, 0, b]
-            vx, vy = c * v[i, 0, b] + s * v[i, 1, b], c * v[i, 1, b] - s * v[i, 0, b]
-            r[i, 0, b], r[i, 1, b] = x, y
-            v[i, 0, b], v[i, 1, b] = vx + spin * y, vy - spin * x
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(tables, increments, fraction, out):
-    """Add the collocation polynomial of `increments` (s,n,3), at a fraction of the step, to out."""
-    s = tables.stages
-    for j in range(s):
-        weight = 0.0
-        for i in range(s, -1, -1):
-            weight = weight * fraction + tables.power[i, j + 1]
-        add(out.reshape(-1), weight, increments[j].reshape(-1))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _guess(tables, old, offset, scale, base, z):
-    """Fill `z` with the polynomial of `old` at offset + scale c_j, less its value at `base`."""
-    start = np.zeros(z.shape[1:])
-    if base != 0.0:
-        _interpolate(tables, old, base, start)
-    for j in range(tables.stages):
-        z[j] = 0.0
-        add(z[j].reshape(-1), -1.0, start.reshape(-1))
-        _interpolate(tables, old, offset + scale * tables.c[j], z[j])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _sample(plant, tables, motion, times, out_v, out_r):
     """Write the states at all requested times up to now, in the orbit frame."""
     while motion.count[4] < times.size and times[motion.count[4]] <= motion.time[0]:
@@ -148,10 +99,10 @@ def _sample(plant, tables, motion, times, out_v, out_r):
             r[:] = motion.r0
             if motion.time[3] > 0.0:
                 fraction = (now - motion.time[2]) / motion.time[3]
-                _interpolate(tables, motion.z, fraction, v)
-                _interpolate(tables, motion.rise, fraction, r)
+                interpolate(tables, motion.z, fraction, v)
+                interpolate(tables, motion.rise, fraction, r)
             n = r.shape[0]
-            _to_orbit_frame(plant.spin, now, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
+            to_orbit_frame(plant.spin, now, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
         motion.count[4] += 1
 
 
@@ -184,7 +135,7 @@ def advance(
         REACHED, PAUSED (out of steps), STEP_TOO_SMALL or TOO_MANY_SWITCHES.
     """
     s, n, order = tables.stages, motion.r.shape[0], control.order
-    work = _Work(
+    work = Work(
         np.empty((symbolic.blocks, 3, 3)),
         np.empty((tables.value.size, symbolic.blocks, 3, 3), dtype=np.complex128),
         np.empty((symbolic.row.size, 3, 3)),
@@ -214,9 +165,9 @@ def advance(
             return TOO_MANY_SWITCHES
         kind = motion.count[NEXT]
         if kind == EXPLICIT:
-            h, natural, which = _explicit_step(plant, control, motion, work, stop)
+            h, natural, which = explicit_step(plant, control, motion, work, stop)
         else:
-            h, natural, which = _implicit_step(
+            h, natural, which = implicit_step(
                 plant, symbolic, tables, control, motion, work, stop, follows
             )
         follows = h > 0.0
@@ -258,15 +209,6 @@ def advance(
             if both:
                 _start_anew(motion)
         _sample(plant, tables, motion, times, out_v, out_r)
-
-
-#: Room that steps work in: Newton matrices and Jacobian blocks, stage increments, a trial state,
-#: stretch of the tethers and its rate, and the Taylor series of motion and variations.
-_Work = namedtuple(
-    "_Work", "real cplx by_r by_v z rise old trial_v trial_r excess growth series variations"
-)
-#: Step sizes that say why there was no step: try again, switch first, or none possible.
-REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -315,180 +257,3 @@ def _fastest_rate(plant, taut, sums):
     return max(decay, math.sqrt(swing))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _explicit_step(plant, control, motion, work, stop):
-    """One step by Taylor series, up to the first switch.
-
-    Returns its size, the size it could have had without switch and stop, and the tether that
-    switches at its end or -1.
-    """
-    n, t = motion.r.shape[0], motion.time[0]
-    series, columns = work.series, motion.x_r.shape[2]
-    v, r = work.trial_v, work.trial_r
-    v[:] = motion.v
-    r[:] = motion.r
-    _to_orbit_frame(plant.spin, t, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
-    taylor.expand(plant, motion.taut, v, r, series)
-    natural = min(
-        control.longest,
-        taylor.longest_step(series.r, control.explicit_tolerance, control.length, control.speed),
-    )
-    if columns > 0:
-        _to_orbit_frame(plant.spin, t, motion.x_v, motion.x_r)
-        taylor.expand_variations(
-            plant, motion.taut, series, natural, motion.x_v, motion.x_r, work.variations
-        )
-        natural = min(
-            natural,
-            taylor.longest_step_of_variations(
-                work.variations, control.explicit_tolerance, control.length, control.speed
-            ),
-        )
-    h, which = natural, -1
-    if t + 1.01 * h >= stop:
-        h = stop - t
-    if not plant.bilateral:
-        fraction, which = first_switch_of_series(plant, motion.taut, series.q, h)
-    if which >= 0:
-        full = h
-        h = fraction * full
-        for _ in range(6):
-            if not 1e-10 * full < h <= full * (1.0 + 1e-9):
-                break
-            taylor.evaluate(series.r, h, v, r)
-            stretch(plant, v, r, work.excess, work.growth)
-            miss = abs(work.excess[which])
-            if (
-                miss <= 1e-15 * plant.rest[which]
-                or miss <= 1e-15 * full * abs(work.growth[which])
-            ):
-                break
-            h -= work.excess[which] / work.growth[which]
-        h = AT_ONCE if h < 1e-10 * full else min(h, full)
-    elif h <= 1e-14 * max(t, control.length / control.speed):
-        h = TOO_SMALL
-    end = h if h > 0.0 else 0.0
-    if columns > 0:
-        if end > 0.0:
-            taylor.evaluate_variations(work.variations, end, motion.x_v, motion.x_r)
-        _to_turning_frame(plant.spin, t + end, motion.x_v, motion.x_r)
-    if end > 0.0:
-        motion.series[:] = series.r
-        taylor.evaluate(series.r, end, motion.v, motion.r)
-        _to_turning_frame(
-            plant.spin, t + end, motion.v.reshape(n, 3, 1), motion.r.reshape(n, 3, 1)
-        )
-    return h, natural, which
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _implicit_step(plant, symbolic, tables, control, motion, work, stop, follows):
-    """One step by Radau collocation, up to the first switch. Returns as `_explicit_step`.
-
-    `follows` says that the last attempt was a step, so that its polynomial is a good guess.
-    """
-    s, n, t = tables.stages, motion.r.shape[0], motion.time[0]
-    z, rise, v0, r0 = work.z, work.rise, motion.v, motion.r
-    trial_v, trial_r, middle = work.trial_v, work.trial_r, tables.stages // 2
-    h = min(motion.time[1], control.longest, motion.time[4])
-    last = t + 1.01 * h >= stop
-    if last:
-        h = stop - t
-    if h <= 1e-14 * max(t, control.length / control.speed):
-        return TOO_SMALL, 1.01 * min(motion.time[1], control.longest, motion.time[4]), -1
-    z[:] = 0.0
-    if motion.time[3] > 0.0 and follows and motion.count[LAST] == IMPLICIT:
-        _guess(tables, motion.z, 1.0, h / motion.time[3], 1.0, z)
-    trial_v[:] = v0
-    trial_r[:] = r0
-    add(trial_v.reshape(-1), 1.0, z[middle].reshape(-1))
-    add(trial_r.reshape(-1), tables.c[middle] * h, trial_v.reshape(-1))
-    jacobian(
-        plant, symbolic.pair, motion.taut, t + tables.c[middle] * h, trial_v, trial_r,
-        work.by_r, work.by_v,
-    )
-    newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
-    iterations = solve_stages(
-        plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.real, work.cplx
-    )
-    motion.count[2] += abs(iterations)
-    if iterations < 0:
-        motion.count[1] += 1
-        motion.time[1] = 0.4 * h
-        # Newton's iteration, not the error, bounds the steps here: come near that size slowly.
-        motion.time[4] = 0.6 * h
-        return REJECTED, h, -1
-    f0 = trial_v
-    acceleration(plant, motion.taut, t, v0, r0, f0)
-    error = error_estimate(
-        symbolic, tables, control, h, work.by_r, f0.reshape(n, 3, 1), v0.reshape(n, 3, 1),
-        z.reshape(s, n, 3, 1), rise.reshape(s, n, 3, 1), work.real,
-    )
-    growth = 0.85 * (control.tolerance / max(error, 1e-300)) ** (1.0 / (s + 1))
-    if not error <= control.tolerance:
-        motion.count[1] += 1
-        motion.time[1] = h * max(0.1, growth) if error < np.inf else 0.4 * h
-        return REJECTED, h, -1
-    fraction, which = 2.0, -1
-    if not plant.bilateral:
-        fraction, which = first_switch(plant, tables, motion.taut, v0, r0, rise)
-    full = h
-    if which >= 0:
-        converged = False
-        for attempt in range(6):
-            target = h - work.excess[which] / work.growth[which] if attempt else fraction * full
-            if not 0.0 < target <= full * (1.0 + 1e-9):
-                break
-            if target < 1e-10 * full:
-                break
-            work.old[:] = z
-            _guess(tables, work.old, 0.0, target / h, 0.0, z)
-            h = target
-            newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
-            iterations = solve_stages(
-                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise,
-                work.real, work.cplx,
-            )
-            motion.count[2] += abs(iterations)
-            if iterations < 0:
-                break
-            trial_v[:] = v0
-            trial_r[:] = r0
-            add(trial_v.reshape(-1), 1.0, z[s - 1].reshape(-1))
-            add(trial_r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
-            stretch(plant, trial_v, trial_r, work.excess, work.growth)
-            miss = abs(work.excess[which])
-            if (
-                miss <= 1e-15 * plant.rest[which]
-                or miss <= 1e-15 * full * abs(work.growth[which])
-            ):
-                converged = True
-                break
-        if not converged and target < 1e-10 * full:
-            motion.time[1] = full
-            return AT_ONCE, full, which
-        if not converged and iterations < 0:
-            motion.count[1] += 1
-            motion.time[1] = 0.5 * h
-            return REJECTED, h, -1
-    if motion.x_v.shape[2] > 0:
-        error_x = vary(
-            plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.by_r,
-            work.real, motion.x_v, motion.x_r,
-        )
-        scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
-        if not error_x <= control.tolerance:
-            motion.count[1] += 1
-            motion.time[1] = h * max(0.1, scaled) if error_x < np.inf else 0.4 * h
-            return REJECTED, h, -1
-        growth = min(growth, scaled * h / full)
-    motion.v0[:] = v0
-    motion.r0[:] = r0
-    motion.z[:] = z
-    motion.rise[:] = rise
-    add(motion.v.reshape(-1), 1.0, z[s - 1].reshape(-1))
-    add(motion.r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
-    motion.time[4] = min(1.2 * motion.time[4], ANY_STEP)
-    if which >= 0 or not last:
-        motion.time[1] = full * min(max(growth, 0.1), 8.0)
-    return h, full, which

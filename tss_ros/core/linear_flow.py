@@ -25,7 +25,7 @@ def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
     Parameters
     ----------
     flow : Flow
-    motion : integration.Motion
+    motion : steps.Motion
         Left as it is.
     displacement : ndarray, shape (6n, k)
         Scaled: velocities over the rim speed, then positions over the radius.
@@ -38,7 +38,7 @@ def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
 
     Returns
     -------
-    motion : integration.Motion
+    motion : steps.Motion
         At `stop`, with no columns.
     displacement : ndarray, shape (6n, k)
 

@@ -70,7 +70,7 @@ class Flow:
         return other
 
     def begin(self, state, columns=0):
-        """Start a `integration.Motion` at time 0 from a `State` in the orbit frame."""
+        """Start a `steps.Motion` at time 0 from a `State` in the orbit frame."""
         r = np.array(state.position_m, dtype=float)
         v = np.array(state.velocity_m_s, dtype=float)
         if r.shape != (self.system.n, 3) or v.shape != r.shape:
