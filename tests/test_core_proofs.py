@@ -33,7 +33,7 @@ from tss_ros.core.symmetry import cyclic_symmetry
         (ring(damping_n_s_per_m=100.0), -2.5, 5),
         (ring(damping_n_s_per_m=100.0), -2.2, 10),
         (ring(damping_n_s_per_m=1.0), -2.2, 10),
-        (ring(satellite_mass_kg=1000.0, beads_per_tether=1, bead_mass_kg=10.0), -1.5, 1),
+        (ring(satellite_mass_kg=1000.0, beads_per_tether=1, bead_mass_kg=10.0), -1.8, 1),
         (formation("hub_and_spoke", 4), -3.0, 0),
         (formation("chain", 3), -3.0, 0),
     ],
