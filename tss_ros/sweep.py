@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute
 
 from tss_ros import cluster, plots
 from tss_ros.core import METHODS, Cancelled, TssError, sweep
@@ -71,7 +73,7 @@ def table(question, store):
     str
     """
     if len(question) > MAX_LISTED:
-        return "\n".join(_counts(store))
+        return "\n".join(_counts(question, store))
     lines = []
     rates, critical, simulated = (
         _by_system(question, store, name) for name in (MULTIPLIERS, CRITICAL_RATES, SIMULATIONS)
@@ -139,12 +141,19 @@ def _simulation(row):
     )
 
 
-def _counts(store):
+def _counts(question, store):
     """How often there is which verdict and which cause."""
-    for name, column in ((MULTIPLIERS, "verdict"), (CRITICAL_RATES, "cause")):
-        values = store.table(name, [column])[column].drop_null()
+    verdicts = _points(question, store, "verdict")["verdict"]
+    causes = store.table(CRITICAL_RATES, ["cause"])["cause"].drop_null()
+    for values in (verdicts, causes):
         for count in sorted(values.value_counts().to_pylist(), key=lambda c: -c["counts"]):
             yield f"  {count['counts']:9}  {count['values']}"
+
+
+def _points(question, store, *columns):
+    """Multipliers that there are, by the motion's own method if it was asked for."""
+    found = store.table(MULTIPLIERS, [*columns, "method"]).drop_null()
+    return found.filter(pa.compute.field("method") == question.methods[0])
 
 
 def draw(question, store):
@@ -161,15 +170,19 @@ def draw(question, store):
     """
     place = np.array([i if math.isnan(v) else v for i, (_, v, _) in enumerate(question.systems)])
 
-    def columns(name, *wanted):
-        found = store.table(name, ["job", *wanted]).drop_null()
-        jobs, *values = (found[column].to_numpy() for column in ("job", *wanted))
+    def arrays(found, *columns):
+        jobs, *values = (found[column].to_numpy() for column in ("job", *columns))
         return place[question.system_index(jobs)], *values
 
+    shown = ("spin_rate_ratio", "uncertainty", "cause")
     return plots.stability_map(
         question.parameter or "scenario",
-        columns(MULTIPLIERS, "spin_rate_ratio", "verdict"),
-        columns(CRITICAL_RATES, "spin_rate_ratio", "uncertainty", "cause"),
+        arrays(
+            _points(question, store, "job", "spin_rate_ratio", "verdict"),
+            "spin_rate_ratio",
+            "verdict",
+        ),
+        arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
         () if question.parameter else [name for name, _, _ in question.systems],
     )
 
@@ -304,6 +317,7 @@ def _parse(arguments):
         parser.error("--workers are this machine's; those of --scheduler are started beside it")
     if options.retry and not options.output:
         parser.error("--retry needs --output")
+    options.methods = [method for method in METHODS if method in options.methods]
     if options.rates:
         first, last, count = options.rates
         if not (count == int(count) and 1 <= count <= 1_000_000):
