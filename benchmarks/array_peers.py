@@ -54,9 +54,7 @@ def _diffrax(problem, tolerance, method, variations):
     jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
 
-    to = {
-        "sin": jnp.sin, "cos": jnp.cos, "sqrt": jnp.sqrt, "where": jnp.where, "stack": jnp.stack
-    }
+    to = {"sin": jnp.sin, "cos": jnp.cos, "sqrt": jnp.sqrt, "where": jnp.where, "stack": jnp.stack}
     size = 6 * problem.n
     begun = jnp.asarray(problem.turning() / problem.units())
 
@@ -76,9 +74,17 @@ def _diffrax(problem, tolerance, method, variations):
     @jax.jit
     def solve(x):
         solution = diffrax.diffeqsolve(
-            terms, getattr(diffrax, method)(), 0.0, problem.end_s, 1.0, x,
-            stepsize_controller=control, max_steps=10_000_000, throw=False,
-            saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
+            terms,
+            getattr(diffrax, method)(),
+            0.0,
+            problem.end_s,
+            1.0,
+            x,
+            stepsize_controller=control,
+            max_steps=10_000_000,
+            throw=False,
+            saveat=diffrax.SaveAt(t1=True),
+            adjoint=diffrax.ForwardMode(),
         )
         return solution.ys, solution.result == diffrax.RESULTS.successful
 
@@ -107,7 +113,10 @@ def _casadi(problem, tolerance):
     import casadi as ca
 
     to = {
-        "sin": ca.sin, "cos": ca.cos, "sqrt": ca.sqrt, "where": ca.if_else,
+        "sin": ca.sin,
+        "cos": ca.cos,
+        "sqrt": ca.sqrt,
+        "where": ca.if_else,
         "stack": lambda parts: ca.vertcat(*parts),
     }
     x, t = ca.SX.sym("x", 6 * problem.n), ca.SX.sym("t")

@@ -47,7 +47,11 @@ class Compiled:
         @njit(error_model="numpy")
         def derivative(t, x, taut, out):
             acceleration(
-                plant, taut, t, x[:size].reshape(n, 3), x[size:].reshape(n, 3),
+                plant,
+                taut,
+                t,
+                x[:size].reshape(n, 3),
+                x[size:].reshape(n, 3),
                 out[:size].reshape(n, 3),
             )
             out[size:] = x[:size]
@@ -105,8 +109,14 @@ def scipy_compiled(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.turning(), method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * units, t_eval=[problem.end_s], **given,
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.turning(),
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * units,
+            t_eval=[problem.end_s],
+            **given,
         )
         if solution.status < 0:
             raise RuntimeError(solution.message)
@@ -142,8 +152,13 @@ def scipy_numpy(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.orbit(), method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * problem.units(), t_eval=[problem.end_s],
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.orbit(),
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * problem.units(),
+            t_eval=[problem.end_s],
         )
         return problem.from_orbit(solution.y[:, -1])
 
@@ -167,8 +182,14 @@ def cyrk(problem, tolerance, method):
 
     def run():
         solution = pysolve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.turning(), method=method,
-            rtol=tolerance, atol=tolerance * units, pass_dy_as_arg=True, max_num_steps=100_000_000,
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.turning(),
+            method=method,
+            rtol=tolerance,
+            atol=tolerance * units,
+            pass_dy_as_arg=True,
+            max_num_steps=100_000_000,
         )
         if not solution.success:
             raise RuntimeError(solution.message)
@@ -209,8 +230,15 @@ def cvode(problem, tolerance, method="BDF"):
     lengths.terminal = [True] * m
     given = {"linsolver": "sparse", "sparsity": pattern} if large else {}
     solver = CVODE(
-        right_hand_side, rtol=tolerance, atol=tolerance * units, method=method, eventsfn=lengths,
-        num_events=m, max_num_steps=10_000_000, jacfn=jacobian, **given,
+        right_hand_side,
+        rtol=tolerance,
+        atol=tolerance * units,
+        method=method,
+        eventsfn=lengths,
+        num_events=m,
+        max_num_steps=10_000_000,
+        jacfn=jacobian,
+        **given,
     )
 
     def run():

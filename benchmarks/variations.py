@@ -49,8 +49,14 @@ def augmented(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), start, method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * scale, t_eval=[problem.end_s], **given,
+            right_hand_side,
+            (0.0, problem.end_s),
+            start,
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * scale,
+            t_eval=[problem.end_s],
+            **given,
         )
         if solution.status < 0:
             raise RuntimeError(solution.message)
