@@ -93,7 +93,7 @@ def _machine(about):
     return (
         f"*{about['date']}, {about['processor']}, {about['cores']} cores, Python"
         f" {about['python']};"
-        f" load {about['load'][0]} before and {about['load_after'][0]} after, {about['took_s']:g} s;"
+        f" load {about['load'][0]} before, {about['load_after'][0]} after, {about['took_s']:g} s;"
         f" {versions}.*"
     )
 
