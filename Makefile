@@ -8,7 +8,7 @@ help:
 	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
 	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
 	@echo 'make test    run every test'
-	@echo 'make benchmarks  measure against public solvers, in an hour or two; results in runs/benchmarks/'
+	@echo 'make benchmarks  measure against public solvers; results in runs/benchmarks/'
 	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
 	@echo 'make lock    resolve the lock files in requirements/ anew (needs uv)'
 	@echo 'make clean   remove all of it but runs/'

@@ -73,9 +73,12 @@ def _first_of(cases):
     for case, rows in cases.items():
         times = {name: found["ms"] for name, found in rows.items() if _counts(found)}
         others = {name: ms for name, ms in times.items() if not name.startswith(OURS)}
-        if OURS not in times or not others:
+        if not others or OURS not in rows:
             continue
         name = min(others, key=others.get)
+        if OURS not in times:
+            lines.append(f"* {case}: not solved to this error here; first is {name}")
+            continue
         ratio = others[name] / times[OURS]
         lines.append(
             f"* {case}: "

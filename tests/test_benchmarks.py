@@ -93,10 +93,15 @@ def test_a_report_names_the_quickest_that_is_right(measured, tmp_path):
     }
     slower = {**measured, "ms": 2.0 * measured["ms"]}
     wrong = {**measured, "ms": 0.1 * measured["ms"], "wrong": True, "matrix_error": 0.5}
-    cases = {"A2000": {solvers.OURS: measured, "CVODE BDF": slower, "CyRK Radau": wrong}}
+    failed = {"note": "not accurate enough", "error": 2e-7, "tolerance": 1e-13}
+    cases = {
+        "B100": {solvers.OURS: failed, "CVODE BDF": slower},
+        "A2000": {solvers.OURS: measured, "CVODE BDF": slower, "CyRK Radau": wrong},
+    }
     results = json.loads(json.dumps({"motion": {"cases": cases, "machine": about}}))
     report.write(results, tmp_path)
     text = (tmp_path / "benchmarks.md").read_text()
     assert "2 times faster than the next, CVODE BDF" in text and "wrong: 5e-01" in text
+    assert "B100: not solved to this error here; first is CVODE BDF" in text
     assert (tmp_path / "benchmarks.png").stat().st_size > 10_000
     assert worker.solvers_of("A2000") is solvers.MOTION
