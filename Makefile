@@ -1,12 +1,14 @@
 # Everything this makes stays in the checkout: .venv, build, install, log and runs.
-# PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest.
-.PHONY: help setup demo reproduce test lock clean
+# PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest,
+# BENCHMARKS="--only motion --cases A1" to the benchmarks.
+.PHONY: help setup demo reproduce test benchmarks lock clean
 export PYTHON
 
 help:
 	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
 	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
 	@echo 'make test    run every test'
+	@echo 'make benchmarks  measure against public solvers; results in runs/benchmarks/'
 	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
 	@echo 'make lock    resolve the lock files in requirements/ anew (needs uv)'
 	@echo 'make clean   remove all of it but runs/'
@@ -23,11 +25,15 @@ reproduce: setup
 test: setup
 	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile $(PYTEST)
 
+benchmarks: setup
+	@. ./activate && exec python -m benchmarks $(BENCHMARKS)
+
 UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
 	--no-emit-index-url --custom-compile-command 'make lock'
 lock:
 	$(UV) setup.py --extra dev --extra cluster -o requirements/python.txt
 	$(UV) requirements/ros.in -c requirements/python.txt -o requirements/ros.txt
+	$(UV) requirements/benchmarks.in -c requirements/python.txt -o requirements/benchmarks.txt
 
 clean:
-	rm -rf .venv build install log
+	rm -rf .venv .venv-benchmarks build install log

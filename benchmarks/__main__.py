@@ -56,7 +56,8 @@ def first_answers(python):
         measured(python, FIRST_CASE, name, COMPILE_S)
         warm = measured(python, FIRST_CASE, name, COMPILE_S)
         table[name] = {
-            "nothing_compiled_s": cold.get("first_answer_s"), "s": warm.get("first_answer_s")
+            "nothing_compiled_s": cold.get("first_answer_s"),
+            "s": warm.get("first_answer_s"),
         }
         show(f"    {name:30} first answer {table[name]}")
     return table
@@ -67,9 +68,7 @@ def section(name, python, options):
     wanted = options.cases or list(problems.CASES)
     if name == "motion":
         cases = [c for c in (*problems.MOTIONS, *problems.LONG_MOTIONS) if c in wanted]
-        return {
-            "cases": compare(python, cases, options), "first_answer": first_answers(python)
-        }
+        return {"cases": compare(python, cases, options), "first_answer": first_answers(python)}
     if name == "monodromy":
         cases = [c for c in (*problems.TURNS, *problems.LONG_TURNS) if c in wanted]
         return {"cases": compare(python, cases, options)}
@@ -81,8 +80,12 @@ def section(name, python, options):
     if name in own:  # these need the activated shell's own paths
         env["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [own.get(name, python), "-m", f"benchmarks.{module}"], cwd=ROOT, env=env,
-        stdout=subprocess.PIPE, text=True, check=False,
+        [own.get(name, python), "-m", f"benchmarks.{module}"],
+        cwd=ROOT,
+        env=env,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
     )
     if done.returncode:
         raise SystemExit(f"{name} ended with status {done.returncode}")

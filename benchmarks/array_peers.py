@@ -3,6 +3,8 @@
 Both in the turning frame, in units of the radius and the rim speed, tethers switched by length.
 """
 
+import functools
+
 import numpy as np
 
 
@@ -47,16 +49,16 @@ def _equations(problem, to, time, x):
     return to["stack"]([entry for row in a for entry in row] + positions)
 
 
-def _diffrax(problem, tolerance, method, variations):
+@functools.cache
+def _diffrax(problem, method, variations):
+    """A function of the tolerance, compiled by JAX once for all of them."""
     import diffrax
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
 
-    to = {
-        "sin": jnp.sin, "cos": jnp.cos, "sqrt": jnp.sqrt, "where": jnp.where, "stack": jnp.stack
-    }
+    to = {"sin": jnp.sin, "cos": jnp.cos, "sqrt": jnp.sqrt, "where": jnp.where, "stack": jnp.stack}
     size = 6 * problem.n
     begun = jnp.asarray(problem.turning() / problem.units())
 
@@ -70,20 +72,27 @@ def _diffrax(problem, tolerance, method, variations):
         return derivative(t, x[0], None), jax.vmap(along)(x[1])
 
     terms = diffrax.ODETerm(with_variations if variations else derivative)
-    control = diffrax.PIDController(rtol=tolerance, atol=tolerance)
     start = (begun, jnp.eye(size)) if variations else begun
 
     @jax.jit
-    def solve(x):
+    def solve(x, tolerance):
         solution = diffrax.diffeqsolve(
-            terms, getattr(diffrax, method)(), 0.0, problem.end_s, 1.0, x,
-            stepsize_controller=control, max_steps=10_000_000, throw=False,
-            saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
+            terms,
+            getattr(diffrax, method)(),
+            0.0,
+            problem.end_s,
+            1.0,
+            x,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            max_steps=10_000_000,
+            throw=False,
+            saveat=diffrax.SaveAt(t1=True),
+            adjoint=diffrax.ForwardMode(),
         )
         return solution.ys, solution.result == diffrax.RESULTS.successful
 
-    def run():
-        ys, successful = jax.block_until_ready(solve(start))
+    def run(tolerance):
+        ys, successful = jax.block_until_ready(solve(start, tolerance))
         if not successful:
             raise RuntimeError("diffrax did not reach the end")
         return ys
@@ -93,21 +102,24 @@ def _diffrax(problem, tolerance, method, variations):
 
 def diffrax_motion(problem, tolerance, method):
     """diffrax, compiled by JAX before the clock starts."""
-    solve = _diffrax(problem, tolerance, method, False)
-    return lambda: problem.from_turning(np.asarray(solve())[0] * problem.units())
+    solve = _diffrax(problem, method, False)
+    return lambda: problem.from_turning(np.asarray(solve(tolerance))[0] * problem.units())
 
 
 def diffrax_monodromy(problem, tolerance, method):
     """The same with the variational equations beside; no saltation."""
-    solve = _diffrax(problem, tolerance, method, True)
-    return lambda: np.asarray(solve()[1])[0].T
+    solve = _diffrax(problem, method, True)
+    return lambda: np.asarray(solve(tolerance)[1])[0].T
 
 
 def _casadi(problem, tolerance):
     import casadi as ca
 
     to = {
-        "sin": ca.sin, "cos": ca.cos, "sqrt": ca.sqrt, "where": ca.if_else,
+        "sin": ca.sin,
+        "cos": ca.cos,
+        "sqrt": ca.sqrt,
+        "where": ca.if_else,
         "stack": lambda parts: ca.vertcat(*parts),
     }
     x, t = ca.SX.sym("x", 6 * problem.n), ca.SX.sym("t")

@@ -100,9 +100,13 @@ def _integrate(problem, tolerance, frame, real, variations, **options):
 
     size = 6 * problem.n
     integrator = hy.taylor_adaptive(
-        equations, np.zeros(size, dtype=real), pars=np.zeros(len(switches), dtype=real),
-        tol=real(tolerance), fp_type=real,
-        t_events=[toggle(k) for k in range(len(switches))], **options,
+        equations,
+        np.zeros(size, dtype=real),
+        pars=np.zeros(len(switches), dtype=real),
+        tol=real(tolerance),
+        fp_type=real,
+        t_events=[toggle(k) for k in range(len(switches))],
+        **options,
     )
     begun = np.array(integrator.state)  # with unit variations, where there are any
 

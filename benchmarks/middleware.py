@@ -60,9 +60,7 @@ class Subscriber:
         self._node = rclpy.create_node("benchmark_subscriber", context=self._context)
         self.arrivals = []
         self._node.create_subscription(BeadStates, "bead_states", self._arrived, 1000)
-        self._play = self._node.create_client(
-            SetSimulationState, "sim_node/set_simulation_state"
-        )
+        self._play = self._node.create_client(SetSimulationState, "sim_node/set_simulation_state")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin)
@@ -101,8 +99,13 @@ class Subscriber:
 def with_ros(beads, turns, recorded=False, subscriber=None):
     """States a second that `sim_node` publishes, or that arrive, and how many of how many."""
     parameters = {
-        "spin_rate_ratio": RATE, "turns": turns, "time_scale": 0.0, "publish_period_s": 1.0,
-        "wait_for_recorder": recorded, "start_paused": subscriber is not None, **cut(beads),
+        "spin_rate_ratio": RATE,
+        "turns": turns,
+        "time_scale": 0.0,
+        "publish_period_s": 1.0,
+        "wait_for_recorder": recorded,
+        "start_paused": subscriber is not None,
+        **cut(beads),
     }
     with tempfile.TemporaryDirectory() as name, Nodes(Path(name)) as nodes:
         if recorded:
@@ -118,7 +121,8 @@ def with_ros(beads, turns, recorded=False, subscriber=None):
         if subscriber:
             arrived = len(subscriber.arrivals)
             return {
-                "states_per_s": arrived / (subscriber.arrivals[-1] - begun), "states": steps,
+                "states_per_s": arrived / (subscriber.arrivals[-1] - begun),
+                "states": steps,
                 "received": arrived,
             }
         found = {"states_per_s": steps / seconds, "states": steps}

@@ -1,5 +1,7 @@
 """Public solvers of stiff and non-stiff motions: scipy, CVODE (scikit-sundae) and CyRK."""
 
+import functools
+
 import numpy as np
 from numba import njit
 from scipy import sparse
@@ -27,6 +29,8 @@ class Compiled:
         Sets `taut` from the lengths, as those do who locate no switches.
     jacobian : f(t, x, taut, values)
         Nonzero values in the order of `rows`, `columns`.
+    right_hand_side : f(out, t, x, taut)
+        Both `by_length` and `derivative`.
     """
 
     def __init__(self, problem, spin):
@@ -47,7 +51,11 @@ class Compiled:
         @njit(error_model="numpy")
         def derivative(t, x, taut, out):
             acceleration(
-                plant, taut, t, x[:size].reshape(n, 3), x[size:].reshape(n, 3),
+                plant,
+                taut,
+                t,
+                x[:size].reshape(n, 3),
+                x[size:].reshape(n, 3),
                 out[:size].reshape(n, 3),
             )
             out[size:] = x[:size]
@@ -73,6 +81,12 @@ class Compiled:
             out[by_v.size : 2 * by_v.size] = by_r.reshape(-1)
             out[2 * by_v.size :] = 1.0
 
+        @njit(error_model="numpy")
+        def right_hand_side(out, t, x, taut):
+            by_length(x, taut)
+            derivative(t, x, taut, out)
+
+        self.right_hand_side = right_hand_side
         self.derivative, self.stretch = derivative, lengths
         self.by_length, self.jacobian = by_length, values
 
@@ -83,17 +97,22 @@ class Compiled:
         return matrix if kind == "sparse" else matrix.toarray()
 
 
+@functools.cache
+def compiled(problem):
+    """The equations in the turning frame, compiled once for all tolerances."""
+    return Compiled(problem, problem.spin)
+
+
 def scipy_compiled(problem, tolerance, method):
     """solve_ivp in the turning frame with compiled equations, and Jacobian where it is used."""
     from scipy.integrate import solve_ivp
 
-    equations, units = Compiled(problem, problem.spin), problem.units()
+    equations, units = compiled(problem), problem.units()
     taut, values = problem.taut(), np.empty(equations.rows.size)
 
     def right_hand_side(t, x):
         out = np.empty(x.size)
-        equations.by_length(x, taut)
-        equations.derivative(t, x, taut, out)
+        equations.right_hand_side(out, t, x, taut)
         return out
 
     def jacobian(t, x):
@@ -105,8 +124,14 @@ def scipy_compiled(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.turning(), method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * units, t_eval=[problem.end_s], **given,
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.turning(),
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * units,
+            t_eval=[problem.end_s],
+            **given,
         )
         if solution.status < 0:
             raise RuntimeError(solution.message)
@@ -142,8 +167,13 @@ def scipy_numpy(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.orbit(), method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * problem.units(), t_eval=[problem.end_s],
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.orbit(),
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * problem.units(),
+            t_eval=[problem.end_s],
         )
         return problem.from_orbit(solution.y[:, -1])
 
@@ -154,21 +184,22 @@ def cyrk(problem, tolerance, method):
     """CyRK in the turning frame with compiled equations."""
     from CyRK import pysolve_ivp
 
-    equations, units = Compiled(problem, problem.spin), problem.units()
-    taut, derivative, by_length = problem.taut(), equations.derivative, equations.by_length
-
-    @njit(error_model="numpy")
-    def compiled(out, t, x, taut):
-        by_length(x, taut)
-        derivative(t, x, taut, out)
+    equations, units = compiled(problem), problem.units()
+    taut = problem.taut()
 
     def right_hand_side(out, t, x):
-        compiled(out, t, x, taut)
+        equations.right_hand_side(out, t, x, taut)
 
     def run():
         solution = pysolve_ivp(
-            right_hand_side, (0.0, problem.end_s), problem.turning(), method=method,
-            rtol=tolerance, atol=tolerance * units, pass_dy_as_arg=True, max_num_steps=100_000_000,
+            right_hand_side,
+            (0.0, problem.end_s),
+            problem.turning(),
+            method=method,
+            rtol=tolerance,
+            atol=tolerance * units,
+            pass_dy_as_arg=True,
+            max_num_steps=100_000_000,
         )
         if not solution.success:
             raise RuntimeError(solution.message)
@@ -181,7 +212,7 @@ def cvode(problem, tolerance, method="BDF"):
     """CVODE in the turning frame, compiled equations and Jacobian, switches located and held."""
     from sksundae.cvode import CVODE
 
-    equations, units = Compiled(problem, problem.spin), problem.units()
+    equations, units = compiled(problem), problem.units()
     taut = problem.taut()
     m, rest = problem.system.m, problem.system.rest_length_m
     growth, excess = np.empty((2, m))
@@ -209,8 +240,15 @@ def cvode(problem, tolerance, method="BDF"):
     lengths.terminal = [True] * m
     given = {"linsolver": "sparse", "sparsity": pattern} if large else {}
     solver = CVODE(
-        right_hand_side, rtol=tolerance, atol=tolerance * units, method=method, eventsfn=lengths,
-        num_events=m, max_num_steps=10_000_000, jacfn=jacobian, **given,
+        right_hand_side,
+        rtol=tolerance,
+        atol=tolerance * units,
+        method=method,
+        eventsfn=lengths,
+        num_events=m,
+        max_num_steps=10_000_000,
+        jacfn=jacobian,
+        **given,
     )
 
     def run():

@@ -18,7 +18,10 @@ _SIX_BEAD = {"satellite_mass_kg": 1000.0, "beads_per_tether": 1}
 #: Motions: parameters of `ring`, rate [Omega], push [m], turns.
 MOTIONS = {
     f"{name}{damping}": (
-        {"damping_n_s_per_m": float(damping)}, rate, push, 2 if (name, damping) == ("B", 1) else 10
+        {"damping_n_s_per_m": float(damping)},
+        rate,
+        push,
+        2 if (name, damping) == ("B", 1) else 10,
     )
     for name, rate, push in (("A", -2.9, 0.05), ("B", -2.2, 10.0))
     for damping in (1, 100, 2000)
@@ -68,9 +71,7 @@ class Problem:
 
     def orbit(self):
         """Start (6n,) in the orbit frame, velocities first."""
-        return np.concatenate(
-            [np.ravel(self.start.velocity_m_s), np.ravel(self.start.position_m)]
-        )
+        return np.concatenate([np.ravel(self.start.velocity_m_s), np.ravel(self.start.position_m)])
 
     def turning(self):
         """Start (6n,) in the turning frame, velocities first."""

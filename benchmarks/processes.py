@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv-benchmarks"
-COMPARED = "numpy scipy numba heyoka scikit-sundae CyRK diffrax jax casadi".split()
+COMPARED = ("numpy", "scipy", "numba", "heyoka", "scikit-sundae", "CyRK", "diffrax", "casadi")
 LOCK = ROOT / "requirements" / "benchmarks.txt"
 #: Set where OpenBLAS would choose wrong kernels or too many threads; solvers are measured without.
 UNSET = ("OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE")
@@ -64,7 +64,11 @@ def versions(python):
     """Versions of what is compared, in the environment of another Python."""
     code = "import json; from benchmarks.processes import installed; print(json.dumps(installed()))"
     told = subprocess.run(
-        [python, "-c", code], cwd=ROOT, env=environment(), capture_output=True, text=True,
+        [python, "-c", code],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
         check=True,
     )
     return json.loads(told.stdout)
@@ -100,7 +104,11 @@ def measured(python, case, solver, limit_s, **more):
     with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
         command = [python, "-m", "benchmarks.worker", case, solver, repr(time.time())]
         process = subprocess.Popen(
-            command, cwd=ROOT, env=environment(**more), stdout=out, stderr=subprocess.DEVNULL,
+            command,
+            cwd=ROOT,
+            env=environment(**more),
+            stdout=out,
+            stderr=subprocess.DEVNULL,
             stdin=subprocess.DEVNULL,
         )
         try:

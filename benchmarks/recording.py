@@ -1,17 +1,22 @@
 """How fast recording stays lossless, its memory, and how long a large bag takes to open.
 
-    . ./activate && python benchmarks/recording.py [--steps 1000000]
+    . ./activate && python -m benchmarks --only recording
+
+or, with fewer messages, `python -m benchmarks.recording [--steps 1000000] [--millions 10]`; what is
+seen goes to the screen, and at last as JSON to standard output.
 
 Every message is of the 3-star formation. The bare writer writes the same messages in equal chunks
 with the same compression, but no counts, no metadata.yaml and no flushes to the disk.
 """
 
 import argparse
+import json
 import os
 import re
 import resource
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -138,27 +143,33 @@ def memory_mb():
 
 
 def main():
-    """Print every figure."""
+    """Tell every figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=1_000_000, help="of the bag that is opened")
     parser.add_argument("--millions", type=int, default=10, help="of messages, for the memory")
     options = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    lines = []
+
+    def tell(text):
+        lines.append(text)
+        print(f"    {text}", file=sys.stderr, flush=True)
+
     described, steps = messages()
     size = sum(map(len, steps[0].values()))
-    print(f"one step: {len(STEP)} messages, {size} bytes")
+    tell(f"one step: {len(STEP)} messages, {size} bytes")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for repeat in range(3):
             bare = bare_writer(folder / f"bare_{repeat}.mcap", described, steps, 40_000)
             ours = bag(folder / f"ours_{repeat}", described, steps, 40_000)
-            print(f"bare mcap writer {bare:8.0f} messages/s, BagWriter {ours:8.0f} messages/s")
+            tell(f"bare mcap writer {bare:8.0f} messages/s, BagWriter {ours:8.0f} messages/s")
         rate, told = nodes(folder)
-        print(f"sim_node to logger_node {rate:.0f} messages/s: {told}")
+        tell(f"sim_node to logger_node {rate:.0f} messages/s: {told}")
         count = options.millions * 1_000_000 // len(STEP)
 
         def show(written):
-            print(f"{written:9d} messages written, {memory_mb():.0f} MB", flush=True)
+            tell(f"{written} messages written, {memory_mb():.0f} MB")
 
         bag(folder / "long", described, steps, count, on_million=show, split_bytes=100_000_000)
         bag(folder / "large", described, steps, options.steps, names=STATES)
@@ -167,11 +178,12 @@ def main():
         read_s = time.perf_counter() - begun
         begun = time.perf_counter()
         review.save(recording, folder / "large.rrd", "large")
-        print(
+        tell(
             f"{len(recording.step)} steps: read in {read_s:.1f} s, made a Rerun file of "
             f"{(folder / 'large.rrd').stat().st_size / 1e6:.0f} MB in "
             f"{time.perf_counter() - begun:.1f} s"
         )
+    print(json.dumps({"lines": lines}))
 
 
 if __name__ == "__main__":

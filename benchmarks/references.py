@@ -91,7 +91,8 @@ def main():
         print(f"{case}: {fresh['source']}; distances: {', '.join(told)}", flush=True)
         if options.renew:
             kept[case] = fresh
-            STORED.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+            lines = [f"{json.dumps(name)}: {json.dumps(row)}" for name, row in kept.items()]
+            STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     if not agree:
         sys.exit("stored and fresh references disagree")
 

@@ -12,7 +12,9 @@ FILE = "benchmarks.md"
 def told(found):
     """One result in words, for the screen."""
     if "ms" not in found:
-        error = f", error {found['error']:.1e} at {found['tolerance']:.0e}" if "error" in found else ""
+        error = (
+            f", error {found['error']:.1e} at {found['tolerance']:.0e}" if "error" in found else ""
+        )
         return found.get("note", "") + error
     matrix = f", matrix {found['matrix_error']:.0e}" if "matrix_error" in found else ""
     wrong = ", WRONG MATRIX" if found.get("wrong") else ""
@@ -23,7 +25,9 @@ def told(found):
 
 
 def _time(ms):
-    return f"{ms:.2f}" if ms < 10.0 else f"{ms:.3g}" if ms < 100.0 else f"{ms:,.0f}".replace(",", " ")
+    return (
+        f"{ms:.2f}" if ms < 10.0 else f"{ms:.3g}" if ms < 100.0 else f"{ms:,.0f}".replace(",", " ")
+    )
 
 
 def _counts(found):
@@ -40,7 +44,7 @@ def _cell(found, best):
         return f"**{text}**" if found["ms"] == best else text
     note = found.get("note", "")
     if note.startswith(">"):
-        return note
+        return note + (f", error {found['error']:.0e}" if "error" in found else "")
     if "not accurate" in note:
         return f"error {found['error']:.0e}"
     return "failed"
@@ -69,13 +73,18 @@ def _first_of(cases):
     for case, rows in cases.items():
         times = {name: found["ms"] for name, found in rows.items() if _counts(found)}
         others = {name: ms for name, ms in times.items() if not name.startswith(OURS)}
-        if OURS not in times or not others:
+        if not others or OURS not in rows:
             continue
         name = min(others, key=others.get)
+        if OURS not in times:
+            lines.append(f"* {case}: not solved to this error here; first is {name}")
+            continue
         ratio = others[name] / times[OURS]
         lines.append(
-            f"* {case}: " + (
-                f"{ratio:.2g} times faster than the next, {name}" if ratio >= 1.0
+            f"* {case}: "
+            + (
+                f"{ratio:.2g} times faster than the next, {name}"
+                if ratio >= 1.0
                 else f"{1.0 / ratio:.2g} times slower than {name}"
             )
         )
@@ -85,8 +94,9 @@ def _first_of(cases):
 def _machine(about):
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
     return (
-        f"*{about['date']}, {about['processor']}, {about['cores']} cores, Python {about['python']};"
-        f" load {about['load'][0]} before and {about['load_after'][0]} after, {about['took_s']:g} s;"
+        f"*{about['date']}, {about['processor']}, {about['cores']} cores, Python"
+        f" {about['python']};"
+        f" load {about['load'][0]} before, {about['load_after'][0]} after, {about['took_s']:g} s;"
         f" {versions}.*"
     )
 
@@ -100,26 +110,33 @@ def _motion(results):
     short = _picked(results, "motion", problems.MOTIONS)
     long = _picked(results, "motion", problems.LONG_MOTIONS)
     lines = [
-        "## Motion", "",
+        "## Motion",
+        "",
         f"Milliseconds, warm, best of three or more runs, at an error of at most"
         f" {problems.MOTION_ERROR:g} of position over R_1 and of velocity over the rim speed, each"
         " solver at the loosest tolerance that reaches it. Table 1's ring, ten turns (B1 two),"
         " positions displaced by a s/|s|, s_i = sin(1 + i): A at -2.9 Omega with a = 0.05 m, B at"
         " -2.2 with a = 10 m and through slack/taut switches; the number is the damping C [N s/m]."
-        " The 6-bead system has satellites of 1000 kg and 1450 N s/m, at -2.9 with 0.05 m.", "",
-        *_table(short), "",
+        " The 6-bead system has satellites of 1000 kg and 1450 N s/m, at -2.9 with 0.05 m.",
+        "",
+        *_table(short),
+        "",
     ]
     if long:
         lines += [
             "3-star rings of so many beads in all (10 kg each, 1450 N s/m from end to end), a tenth"
-            " of a turn at -2.9 Omega, pushed by 0.05 m:", "", *_table(long), "",
+            " of a turn at -2.9 Omega, pushed by 0.05 m:",
+            "",
+            *_table(long),
+            "",
         ]
     lines += [*_first_of({**short, **long}), ""]
     if first := results["motion"].get("first_answer"):
         lines += ["| first answer of a fresh process [s], A100 | nothing compiled | cached |"]
         lines += ["|---|---:|---:|"]
         lines += [
-            f"| {name} | {x['nothing_compiled_s']:.1f} | {x['s']:.1f} |" for name, x in first.items()
+            f"| {name} | {x['nothing_compiled_s']:.1f} | {x['s']:.1f} |"
+            for name, x in first.items()
         ]
     return lines
 
@@ -127,12 +144,16 @@ def _motion(results):
 def _monodromy(results):
     cases = _picked(results, "monodromy", {**problems.TURNS, **problems.LONG_TURNS})
     lines = [
-        "## Monodromy matrix over one turn", "",
+        "## Monodromy matrix over one turn",
+        "",
         f"Milliseconds, warm, at an error of at most {problems.MODULUS_ERROR:g} in the largest"
         " modulus (relative where it exceeds 1) and a matrix within 1e-5 of the reference, relative"
         " to its largest entry. Undisturbed start (50)-(51); M at -2.9, S at -2.2 Omega. *wrong*:"
-        " the error of the matrix where no tolerance mends it, for want of saltation.", "",
-        *_table(cases), "", *_first_of(cases),
+        " the error of the matrix where no tolerance mends it, for want of saltation.",
+        "",
+        *_table(cases),
+        "",
+        *_first_of(cases),
     ]
     return lines
 
@@ -140,9 +161,11 @@ def _monodromy(results):
 def _sweep(results):
     table = results["sweep"]
     lines = [
-        "## Sweep", "",
+        "## Sweep",
+        "",
         "200 spin rates of the 3-star from -3.5 to -1.5 Omega, each corrected to a periodic motion"
-        " first (`core.sweep` with `Rate` jobs), warm:", "",
+        " first (`core.sweep` with `Rate` jobs), warm:",
+        "",
     ]
     for workers, row in table.items():
         if workers.isdigit():
@@ -151,23 +174,26 @@ def _sweep(results):
     turns = _picked(results, "monodromy", problems.TURNS)
     for case in ("M2000", "S2000"):
         found = {
-            name: row["ms"] for name, row in turns.get(case, {}).items()
+            name: row["ms"]
+            for name, row in turns.get(case, {}).items()
             if _counts(row) and not name.startswith(OURS)
         }
         if found:
             name = min(found, key=found.get)
             lines.append(
-                f"* the quickest other for one matrix of {case}, {name}: {_time(found[name])} ms, so"
-                f" {0.2 * found[name]:.3g} s for 200 matrices, not run, without any correction"
+                f"* the quickest other for one matrix of {case}, {name}: {_time(found[name])} ms,"
+                f" so {0.2 * found[name]:.3g} s for 200 matrices, not run, without any correction"
             )
     return lines
 
 
 def _middleware(results):
     lines = [
-        "## What the middleware costs", "",
+        "## What the middleware costs",
+        "",
         "States a second at `time_scale` 0, one for each second of simulated time, five messages"
-        " each; the ring of Table 1 and its tethers cut into beads, at -2.9 Omega.", "",
+        " each; the ring of Table 1 and its tethers cut into beads, at -2.9 Omega.",
+        "",
     ]
     table = {k: v for k, v in results["middleware"].items() if k.isdigit()}
     ways = list(next(iter(table.values())))
@@ -176,9 +202,7 @@ def _middleware(results):
     for way in ways:
         cells = [f"{rows[way]['states_per_s']:.0f}" for rows in table.values()]
         lines.append("| " + " | ".join([way, *cells]) + " |")
-    told = [
-        f"{beads} beads: {rows['recorded']['recorder']}" for beads, rows in table.items()
-    ]
+    told = [f"{beads} beads: {rows['recorded']['recorder']}" for beads, rows in table.items()]
     return [*lines, "", "Recorded: " + "; ".join(told) + "."]
 
 
@@ -192,8 +216,12 @@ def _recording(results):
 
 
 PARTS = {
-    "motion": _motion, "monodromy": _monodromy, "growth": _growth, "sweep": _sweep,
-    "middleware": _middleware, "recording": _recording,
+    "motion": _motion,
+    "monodromy": _monodromy,
+    "growth": _growth,
+    "sweep": _sweep,
+    "middleware": _middleware,
+    "recording": _recording,
 }
 
 
@@ -221,15 +249,19 @@ def picture(cases, file):
     colors = plt.colormaps["tab20"](np.arange(len(MOTION)) % 20)
     for (name, solver), color in zip(MOTION.items(), colors):
         points = [
-            (k, rows[name]["ms"]) for k, rows in enumerate(cases.values())
+            (k, rows[name]["ms"])
+            for k, rows in enumerate(cases.values())
             if _counts(rows.get(name, {}))
         ]
         if not points:
             continue
         own = name.startswith(OURS)
         axes.plot(
-            *np.transpose(points), "*" if own else "o" if solver.events else "x", label=name,
-            color="black" if own else color, markersize=14 if own else 7,
+            *np.transpose(points),
+            "*" if own else "o" if solver.events else "x",
+            label=name,
+            color="black" if own else color,
+            markersize=14 if own else 7,
             zorder=3 if own else 2,
         )
     axes.set_yscale("log")

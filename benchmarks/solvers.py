@@ -75,11 +75,9 @@ MONODROMY = {
     "scipy DOP853, augmented": _peer(variations.augmented, method="DOP853"),
     "diffrax Kvaerno5": _peer(array_peers.diffrax_monodromy, method="Kvaerno5"),
     "CasADi CVODES, sensitivities": _peer(array_peers.casadi_monodromy, loosest=8),
-    "differences, heyoka": _peer(
-        variations.differences, True, 10, 15, motion=heyoka_peer.motion
-    ),
+    "differences, heyoka": _peer(variations.differences, True, 13, 15, motion=heyoka_peer.motion),
     "differences, CyRK Radau": _peer(
-        variations.differences, False, 10, 14, motion=peers.cyrk, method="Radau"
+        variations.differences, False, 11, 14, motion=peers.cyrk, method="Radau"
     ),
 }
 LONG_MONODROMY = {

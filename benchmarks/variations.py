@@ -1,25 +1,20 @@
 """Monodromy matrices by scipy on the augmented system, and by finite differences of any motion."""
 
 import copy
+import functools
 
 import numpy as np
 from numba import njit
 
-from benchmarks.peers import Compiled
+from benchmarks.peers import compiled
 from tss_ros.core import State
 
 
-def augmented(problem, tolerance, method):
-    """solve_ivp of motion and variations, compiled, turning frame; no saltation at switches.
-
-    Radau takes the block-diagonal Jacobian of the variations for all of it.
-    """
-    from scipy.integrate import solve_ivp
-    from scipy.sparse import block_diag, csc_matrix
-
-    equations, size = Compiled(problem, problem.spin), 6 * problem.n
+@functools.cache
+def _augmented_equations(problem):
+    equations, size = compiled(problem), 6 * problem.n
     derivative, by_length, jacobian = equations.derivative, equations.by_length, equations.jacobian
-    rows, columns, units = equations.rows, equations.columns, problem.units()
+    rows, columns = equations.rows, equations.columns
     m, count = problem.system.m, equations.rows.size
 
     @njit(error_model="numpy")
@@ -35,10 +30,25 @@ def augmented(problem, tolerance, method):
                 rate[rows[e], c] += values[e] * x[columns[e], c]
         return out
 
+    return right_hand_side
+
+
+def augmented(problem, tolerance, method):
+    """solve_ivp of motion and variations, compiled, turning frame; no saltation at switches.
+
+    Radau takes the block-diagonal Jacobian of the variations for all of it.
+    """
+    from scipy.integrate import solve_ivp
+    from scipy.sparse import block_diag, csc_matrix
+
+    equations, units, size = compiled(problem), problem.units(), 6 * problem.n
+    right_hand_side, m = _augmented_equations(problem), problem.system.m
+    count = equations.rows.size
+
     def block_jacobian(t, y):
         taut, values = np.empty(m, dtype=bool), np.empty(count)
-        by_length(y[:size], taut)
-        jacobian(t, y[:size], taut, values)
+        equations.by_length(y[:size], taut)
+        equations.jacobian(t, y[:size], taut, values)
         block = equations.matrix(values)
         spread = np.kron(block, np.eye(size))
         return csc_matrix(block_diag([block, spread]))
@@ -49,8 +59,14 @@ def augmented(problem, tolerance, method):
 
     def run():
         solution = solve_ivp(
-            right_hand_side, (0.0, problem.end_s), start, method, rtol=max(tolerance, 3e-14),
-            atol=tolerance * scale, t_eval=[problem.end_s], **given,
+            right_hand_side,
+            (0.0, problem.end_s),
+            start,
+            method,
+            rtol=max(tolerance, 3e-14),
+            atol=tolerance * scale,
+            t_eval=[problem.end_s],
+            **given,
         )
         if solution.status < 0:
             raise RuntimeError(solution.message)

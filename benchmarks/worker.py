@@ -64,19 +64,21 @@ def search(solver, problem, reference, tell):
         tell(tolerance=tolerance, first_run_s=seconds, switches=switches, **errors)
         return run, {"tolerance": tolerance, "switches": switches, **errors}
 
+    def accurate(outcome):
+        return outcome["error"] <= goal and outcome.get("matrix_error", 0.0) <= MATRIX_ERROR
+
     for exponent in range(solver.loosest, solver.tightest + 1):
         run, outcome = attempt(exponent)
-        good = outcome["error"] <= goal
-        if good and outcome.get("matrix_error", 0.0) <= MATRIX_ERROR:
+        if accurate(outcome):
             found = run, outcome
             break
-        if good and last and outcome["matrix_error"] > 0.5 * last["matrix_error"]:
-            outcome["wrong"] = True  # the next tolerance changes nothing
-            return run, outcome
-        last = outcome if good and "matrix_error" in outcome else None
+        if "matrix_error" in outcome and not solver.events:
+            if last and outcome["matrix_error"] > 0.5 * last["matrix_error"]:
+                return run, {**outcome, "wrong": True}  # no tolerance mends it
+            last = outcome
     if found and exponent > solver.loosest:
         run, outcome = attempt(exponent - 0.5)
-        if outcome["error"] <= goal and outcome.get("matrix_error", 0.0) <= MATRIX_ERROR:
+        if accurate(outcome):
             return run, outcome
     return found or (None, outcome)
 
