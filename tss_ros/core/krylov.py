@@ -53,7 +53,8 @@ def arnoldi(apply, start, most):
     for _ in range(most):
         for _ in range(2):
             block, _ = np.linalg.qr(block - basis @ (basis.T @ block))
-        if basis.shape[1] + block.shape[1] > start.shape[0]:
+        block = block[:, : start.shape[0] - basis.shape[1]]
+        if not block.size:
             return
         basis = np.hstack([basis, block])
         block = apply(block)
@@ -98,7 +99,7 @@ def leading_multipliers(flow, state, count, cancelled=None):
 
     space = arnoldi(over_a_turn, start.reshape(2 * half, BLOCK), MOST_TURNS)
     for turns, (basis, image) in enumerate(space, 1):
-        if turns % LOOK and basis.shape[1] + BLOCK <= 2 * half:
+        if turns % LOOK and basis.shape[1] < 2 * half:
             continue
         multiplier, vectors = np.linalg.eig(basis.T @ image)
         largest = np.argsort(-np.abs(multiplier), kind="stable")[:count]
@@ -150,7 +151,7 @@ def closed(flow, state, cancelled=None, iterations=8):
         start = np.column_stack([left, _rates(flow, state, symmetry.order > 1)])
         space = arnoldi(lambda x, at=state: over_a_part(at, x)[1], start, MOST_PARTS)
         for parts, (basis, image) in enumerate(space, 1):
-            if parts % LOOK:
+            if parts % LOOK and basis.shape[1] < scale.size:
                 continue
             u, s, vt = np.linalg.svd(image - basis, full_matrices=False)
             bound = s > FREE_DIRECTION
