@@ -18,7 +18,7 @@ import ros_harness
 from test_sweep import COMMAND
 
 import tss_ros
-from tss_ros import cluster, scenario
+from tss_ros import cluster, scenario, sweep
 from tss_ros.core import Cancelled, Interval, Rate, TssError, compute_floquet, ring
 from tss_ros.sweep import compute
 from tss_ros.sweep_jobs import Question
@@ -102,6 +102,15 @@ def test_tables_hold_what_the_core_computes_in_the_order_of_the_question(finishe
     (critical,) = pyarrow.parquet.read_table(finished / "critical_rates").to_pylist()[:1]
     assert critical["cause"] == "first slack"
     assert {number for number, (error, _) in manifest(finished).items() if error} == FAILING
+
+
+def test_of_many_jobs_the_motions_own_verdicts_are_counted(finished, monkeypatch):
+    monkeypatch.setattr(sweep, "MAX_LISTED", 1)
+    with Store(finished, question()) as store:
+        lines = [line.split(maxsplit=1) for line in sweep.table(question(), store).splitlines()]
+    # At -2.5 both are stable, at -1.25 tethers go slack; 0 fails, and frozen, all seem stable.
+    assert lines[:2] == [["2", "asymptotically stable"], ["2", "no periodic motion"]]
+    assert all(int(count) >= 1 for count, _ in lines[2:])
 
 
 @pytest.mark.parametrize("workers", [2, 3])
