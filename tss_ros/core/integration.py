@@ -39,8 +39,8 @@ REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 #: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
 #: more beads than this are always cheaper to carry implicitly.
 COST, COST_VARIED, FEW_BEADS = 3.0, 1.0, 8
-#: Share of the longest step an explicit method can bear at the fastest rate, N!^(1/N) of its
-#: inverse, from which on a step counts as bounded by that rate alone.
+#: Share of the longest step an explicit method can bear at the fastest rate, `Control.bound` over
+#: it, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
 
 
@@ -222,8 +222,7 @@ def _start_anew(motion):
 def _choose(plant, control, motion, work, natural):
     """Choose the kind of the next step; `natural` is the size the last one could have had."""
     count = motion.count
-    rate = _fastest_rate(plant, motion.taut, work.trial_v)
-    bound = math.exp(math.lgamma(control.order + 1.0) / control.order)
+    rate, bound = _fastest_rate(plant, motion.taut, work.trial_v), control.bound
     if count[NEXT] == EXPLICIT:
         count[HOLD] = max(0, count[HOLD] - 1)
         count[DOUBT] = count[DOUBT] + 1 if natural * rate > BOUNDED * bound else 0
@@ -242,10 +241,12 @@ def _choose(plant, control, motion, work, natural):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fastest_rate(plant, taut, sums):
     """Bound [1/s] of the rates at which taut tethers swing or decay. `sums` is overwritten."""
-    sums[:] = 0.0
+    for i in range(sums.shape[0]):
+        sums[i, 0] = sums[i, 1] = 0.0
     for k in range(plant.rest.size):
         if taut[k]:
-            for end in plant.ends[k]:
+            for side in range(2):
+                end = plant.ends[k, side]
                 sums[end, 0] += plant.inv_mass[end] * plant.stiffness[k]
                 sums[end, 1] += plant.inv_mass[end] * plant.damping[k]
     swing = decay = 0.0

@@ -57,9 +57,11 @@ class Flow:
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
         # translation (Hairer and Wanner, RADAU) from the accuracy wanted to the estimate allowed.
         local = rtol if dense else 0.01 * rtol ** ((stages + 1) / (2 * stages))
+        order = taylor.order_for(rtol)
         self.control = radau.Control(
             local, max(0.01 * rtol, 1e-15), float(length_m), float(length_m * rate),
-            self.turn_s / 4, INTEGRATORS.index(integrator), taylor.order_for(rtol), rtol,
+            self.turn_s / 4, INTEGRATORS.index(integrator), order, rtol,
+            math.exp(math.lgamma(order + 1) / order),
         )
 
     def of(self, system):

@@ -15,9 +15,10 @@ from tss_ros.core.forces import acceleration
 
 #: tolerance: largest estimated local error per implicit step, scaled. accuracy: how far Newton
 #: iterations converge, scaled. length [m], speed [m/s]: the scales. longest [s]: largest step.
-#: kind: which steps are allowed. order, explicit_tolerance: of explicit steps.
+#: kind: which steps are allowed. order N, explicit_tolerance: of explicit steps. bound: N!^(1/N),
+#: the step they can bear where exp(-t) has died away.
 Control = namedtuple(
-    "Control", "tolerance accuracy length speed longest kind order explicit_tolerance"
+    "Control", "tolerance accuracy length speed longest kind order explicit_tolerance bound"
 )
 
 

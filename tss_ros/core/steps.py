@@ -28,9 +28,7 @@ NEXT, LAST, DOUBT, HOLD, BACKOFF = range(5, 10)
 #: velocity and position at its nodes. series (n,3,N+1): the last explicit step, in the orbit frame.
 #: x_v, x_r (n,3,k): variations of velocity and position, k may be 0. dissipation (1,): integral of
 #: the trace of the damping matrix over time.
-Motion = namedtuple(
-    "Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation"
-)
+Motion = namedtuple("Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation")
 #: Room that steps work in: Newton matrices and Jacobian blocks, stage increments, a trial state,
 #: stretch of the tethers and its rate, and the Taylor series of motion and variations.
 Work = namedtuple(
@@ -38,6 +36,13 @@ Work = namedtuple(
 )
 #: Step sizes that say why there was no step: try again, switch first, or none possible.
 REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def copy(source, target):
+    """target[:] = source for flat views, without what numba spends on slices."""
+    for i in range(source.size):
+        target[i] = source[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,13 +102,13 @@ def explicit_step(plant, control, motion, work, stop):
     n, t = motion.r.shape[0], motion.time[0]
     series, columns = work.series, motion.x_r.shape[2]
     v, r = work.trial_v, work.trial_r
-    v[:] = motion.v
-    r[:] = motion.r
+    copy(motion.v.reshape(-1), v.reshape(-1))
+    copy(motion.r.reshape(-1), r.reshape(-1))
     to_orbit_frame(plant.spin, t, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
     taylor.expand(plant, motion.taut, v, r, series)
     natural = min(
         control.longest,
-        taylor.longest_step(series.r, control.explicit_tolerance, control.length, control.speed),
+        taylor.longest_step(series.r, control.explicit_tolerance, control.speed),
     )
     if columns > 0:
         to_orbit_frame(plant.spin, t, motion.x_v, motion.x_r)
@@ -113,7 +118,7 @@ def explicit_step(plant, control, motion, work, stop):
         natural = min(
             natural,
             taylor.longest_step_of_variations(
-                work.variations, control.explicit_tolerance, control.length, control.speed
+                work.variations, control.explicit_tolerance, control.speed
             ),
         )
     h, which = natural, -1
@@ -130,10 +135,7 @@ def explicit_step(plant, control, motion, work, stop):
             taylor.evaluate(series.r, h, v, r)
             stretch(plant, v, r, work.excess, work.growth)
             miss = abs(work.excess[which])
-            if (
-                miss <= 1e-15 * plant.rest[which]
-                or miss <= 1e-15 * full * abs(work.growth[which])
-            ):
+            if miss <= 4e-15 * plant.rest[which] or miss <= 1e-15 * full * abs(work.growth[which]):
                 break
             h -= work.excess[which] / work.growth[which]
         h = AT_ONCE if h < 1e-10 * full else min(h, full)
@@ -145,11 +147,9 @@ def explicit_step(plant, control, motion, work, stop):
             taylor.evaluate_variations(work.variations, end, motion.x_v, motion.x_r)
         to_turning_frame(plant.spin, t + end, motion.x_v, motion.x_r)
     if end > 0.0:
-        motion.series[:] = series.r
+        copy(series.r.reshape(-1), motion.series.reshape(-1))
         taylor.evaluate(series.r, end, motion.v, motion.r)
-        to_turning_frame(
-            plant.spin, t + end, motion.v.reshape(n, 3, 1), motion.r.reshape(n, 3, 1)
-        )
+        to_turning_frame(plant.spin, t + end, motion.v.reshape(n, 3, 1), motion.r.reshape(n, 3, 1))
     return h, natural, which
 
 
@@ -176,8 +176,14 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
     add(trial_v.reshape(-1), 1.0, z[middle].reshape(-1))
     add(trial_r.reshape(-1), tables.c[middle] * h, trial_v.reshape(-1))
     jacobian(
-        plant, symbolic.pair, motion.taut, t + tables.c[middle] * h, trial_v, trial_r,
-        work.by_r, work.by_v,
+        plant,
+        symbolic.pair,
+        motion.taut,
+        t + tables.c[middle] * h,
+        trial_v,
+        trial_r,
+        work.by_r,
+        work.by_v,
     )
     newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
     iterations = solve_stages(
@@ -193,8 +199,16 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
     f0 = trial_v
     acceleration(plant, motion.taut, t, v0, r0, f0)
     error = error_estimate(
-        symbolic, tables, control, h, work.by_r, f0.reshape(n, 3, 1), v0.reshape(n, 3, 1),
-        z.reshape(s, n, 3, 1), rise.reshape(s, n, 3, 1), work.real,
+        symbolic,
+        tables,
+        control,
+        h,
+        work.by_r,
+        f0.reshape(n, 3, 1),
+        v0.reshape(n, 3, 1),
+        z.reshape(s, n, 3, 1),
+        rise.reshape(s, n, 3, 1),
+        work.real,
     )
     growth = 0.85 * (control.tolerance / max(error, 1e-300)) ** (1.0 / (s + 1))
     if not error <= control.tolerance:
@@ -218,8 +232,19 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
             h = target
             newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
             iterations = solve_stages(
-                plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise,
-                work.real, work.cplx,
+                plant,
+                symbolic,
+                tables,
+                control,
+                motion.taut,
+                t,
+                h,
+                v0,
+                r0,
+                z,
+                rise,
+                work.real,
+                work.cplx,
             )
             motion.count[2] += abs(iterations)
             if iterations < 0:
@@ -230,10 +255,7 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
             add(trial_r.reshape(-1), 1.0, rise[s - 1].reshape(-1))
             stretch(plant, trial_v, trial_r, work.excess, work.growth)
             miss = abs(work.excess[which])
-            if (
-                miss <= 1e-15 * plant.rest[which]
-                or miss <= 1e-15 * full * abs(work.growth[which])
-            ):
+            if miss <= 4e-15 * plant.rest[which] or miss <= 1e-15 * full * abs(work.growth[which]):
                 converged = True
                 break
         if not converged and target < 1e-10 * full:
@@ -245,8 +267,21 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
             return REJECTED, h, -1
     if motion.x_v.shape[2] > 0:
         error_x = vary(
-            plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.by_r,
-            work.real, motion.x_v, motion.x_r,
+            plant,
+            symbolic,
+            tables,
+            control,
+            motion.taut,
+            t,
+            h,
+            v0,
+            r0,
+            z,
+            rise,
+            work.by_r,
+            work.real,
+            motion.x_v,
+            motion.x_r,
         )
         scaled = 0.85 * (control.tolerance / max(error_x, 1e-300)) ** (1.0 / (s + 1))
         if not error_x <= control.tolerance:

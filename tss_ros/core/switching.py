@@ -12,14 +12,17 @@ from numba import njit
 from tss_ros.core.forces import stretch
 from tss_ros.core.radau import add
 
+#: Most bisections in the search for a zero.
+DEEPEST = 34
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def first_zero(coefficient):
     """First point of [0, 1] where a polynomial in Bernstein form becomes negative, or 2.
 
     The polynomial is taken to start at or above zero. The convex hull of the coefficients bounds
-    it, so a piece is passed over only when it provably has no zero; where they only fall, there is
-    one, and Newton's method finds it.
+    it, so a piece is passed over only when it provably has no zero; where they change sign once,
+    there is one (Descartes), and Newton's method finds it.
 
     Parameters
     ----------
@@ -30,47 +33,49 @@ def first_zero(coefficient):
     float
     """
     count = coefficient.size
-    pieces = np.empty((64, count))
-    place = np.empty((64, 2))
-    work = np.empty(count)
+    pieces = np.empty((DEEPEST + 2, count))
+    low, width = np.empty(DEEPEST + 2), np.empty(DEEPEST + 2)
     pieces[0] = coefficient
     pieces[0, 0] = max(coefficient[0], 0.0)
-    place[0] = 0.0, 1.0
+    low[0], width[0] = 0.0, 1.0
     depth = 1
     while depth > 0:
         depth -= 1
-        low, width = place[depth]
-        piece = pieces[depth]
-        lowest, falls = piece[0], piece[0] >= 0.0
+        changes, positive = 0, pieces[depth, 0] >= 0.0
         for i in range(1, count):
-            falls = falls and piece[i] <= piece[i - 1]
-            lowest = min(lowest, piece[i])
-        if lowest >= 0.0:
+            if (pieces[depth, i] >= 0.0) != positive:
+                positive = not positive
+                changes += 1
+        if changes == 0 and positive:
             continue
-        if falls:
-            return low + width * _zero_of_falling(piece, work)
-        if width < 1e-10 or depth > 61:
-            return low + width
-        left = pieces[depth + 1]
-        work[:] = piece
-        for level in range(count):
-            left[level] = work[0]
-            for i in range(count - 1 - level):
-                work[i] = 0.5 * (work[i] + work[i + 1])
-            piece[count - 1 - level] = work[count - 1 - level]
-        place[depth] = low + 0.5 * width, 0.5 * width
-        place[depth + 1] = low, 0.5 * width
+        if changes == 1 and not positive:
+            return low[depth] + width[depth] * _only_zero(pieces, depth)
+        if depth == DEEPEST:
+            return low[depth] + width[depth]
+        # De Casteljau's division: the left half goes on top, the right half stays.
+        half = 0.5 * width[depth]
+        for i in range(count):
+            pieces[depth + 1, i] = pieces[depth, i]
+        left = depth + 1
+        for level in range(1, count):
+            for i in range(count - 1, level - 1, -1):
+                pieces[left, i] = 0.5 * (pieces[left, i] + pieces[left, i - 1])
+            pieces[depth, count - 1 - level] = pieces[left, count - 1]
+        low[left], width[left] = low[depth], half
+        low[depth], width[depth] = low[depth] + half, half
         depth += 2
     return 2.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _zero_of_falling(coefficient, work):
-    """The zero in [0, 1] of a polynomial whose Bernstein coefficients fall through zero."""
-    low, high, degree = 0.0, 1.0, coefficient.size - 1
-    x = coefficient[0] / (coefficient[0] - coefficient[degree])
+def _only_zero(pieces, which):
+    """The zero in [0, 1] of a polynomial whose Bernstein coefficients become negative once."""
+    low, high, degree = 0.0, 1.0, pieces.shape[1] - 1
+    work = np.empty(degree + 1)
+    x = pieces[which, 0] / (pieces[which, 0] - pieces[which, degree])
     for _ in range(60):
-        work[:] = coefficient
+        for i in range(degree + 1):
+            work[i] = pieces[which, i]
         for level in range(degree - 1):
             for i in range(degree - level):
                 work[i] += x * (work[i + 1] - work[i])
@@ -83,7 +88,7 @@ def _zero_of_falling(coefficient, work):
         before, x = x, x - value / (degree * slope) if slope < 0.0 else 0.5 * (low + high)
         if not low <= x <= high:
             x = 0.5 * (low + high)
-        if abs(x - before) <= 1e-15:
+        if abs(x - before) <= 1e-10:
             break
     return x
 
@@ -125,36 +130,48 @@ def first_switch(plant, tables, taut, v0, r0, rise):
 def first_switch_of_series(plant, taut, q, h):
     """The same for a step h [s] of Taylor series q (m,N+1) of squared lengths."""
     order = q.shape[1] - 1
-    earliest, which = 2.0, -1
+    end, which = h, -1
     for k in range(plant.rest.size):
         sign = 1.0 if taut[k] else -1.0
         length = math.sqrt(q[k, 0])
         start = sign * (length - plant.rest[k]) * (length + plant.rest[k])
         change, power = 0.0, 1.0
         for i in range(1, order + 1):
-            power *= h
+            power *= end
             change += abs(q[k, i]) * power
         if start > change:
             continue
-        # From powers of time to Bernstein form, by summing up differences.
-        coefficient = np.empty(order + 1)
-        power, choose = 1.0, 1.0
-        coefficient[0] = start
-        for i in range(1, order + 1):
-            power *= h
-            choose *= (order - i + 1) / i
-            coefficient[i] = sign * q[k, i] * power / choose
-        for level in range(1, order + 1):
-            for i in range(order, level - 1, -1):
-                coefficient[i] += coefficient[i - 1]
-        lowest = np.inf
-        for value in coefficient:
-            lowest = min(lowest, value)
-        if lowest < 0.0:
-            zero = first_zero(coefficient)
-            if zero < earliest:
-                earliest, which = zero, k
-    return earliest, which
+        # Where the first three terms say that the switch comes early, search that part alone first.
+        slope, bend = sign * q[k, 1], sign * q[k, 2]
+        part = end
+        if bend < 0.0 < slope:
+            root = math.sqrt(max(0.0, slope * slope - 4.0 * bend * start))
+            part = min(end, 0.65 * (slope + root) / -bend)
+        zero = _first_zero_of_series(q, k, sign, start, part)
+        if zero > 1.0 and part < end:
+            part = end
+            zero = _first_zero_of_series(q, k, sign, start, part)
+        if zero <= 1.0:
+            end, which = zero * part, k
+    return end / h if which >= 0 else 2.0, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_zero_of_series(q, k, sign, start, h):
+    """`first_zero` of sign (q_k - L^2), which begins with `start`, over a time h [s]."""
+    order = q.shape[1] - 1
+    # From powers of time to Bernstein form, by summing up differences.
+    coefficient = np.empty(order + 1)
+    power, choose = sign, 1.0
+    coefficient[0] = start
+    for i in range(1, order + 1):
+        power *= h
+        choose *= (order - i + 1) / i
+        coefficient[i] = q[k, i] * power / choose
+    for level in range(1, order + 1):
+        for i in range(order, level - 1, -1):
+            coefficient[i] += coefficient[i - 1]
+    return first_zero(coefficient)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -177,6 +194,8 @@ def toggle(plant, motion, which, length_tolerance):
         motion.taut[k] = not motion.taut[k]
         motion.count[3] += 1
         i, j = plant.ends[k, 0], plant.ends[k, 1]
+        if motion.x_v.shape[2] == 0:
+            continue
         e = motion.r[i] - motion.r[j]
         e /= math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
         for c in range(motion.x_v.shape[2]):

@@ -20,7 +20,7 @@ Series = namedtuple("Series", "r e q d g p u f")
 
 def order_for(rtol):
     """Order at which a digit of accuracy costs least (Jorba and Zou)."""
-    return math.ceil(8.0 - 0.5 * math.log(rtol))
+    return math.ceil(5.0 - 0.5 * math.log(rtol))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -39,127 +39,147 @@ def expand(plant, taut, v, r, series):
     """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame."""
     order = series.r.shape[2] - 1
     beads, tethers = r.shape[0], plant.rest.size
-    rate2, coriolis = plant.rate * plant.rate, 2.0 * plant.rate
     for i in range(beads):
         for c in range(3):
             series.r[i, c, 0] = r[i, c]
             series.r[i, c, 1] = v[i, c]
     for a in range(tethers):
         i, j = plant.ends[a, 0], plant.ends[a, 1]
+        square = 0.0
         for c in range(3):
             series.e[a, c, 0] = r[i, c] - r[j, c]
+            square += series.e[a, c, 0] * series.e[a, c, 0]
+        series.q[a, 0] = square
     for k in range(order - 1):
-        for i in range(beads):
-            _gravity(plant, series.r[i], series.u[i], series.f[i], k, rate2, coriolis)
-        for a in range(tethers):
-            i, j = plant.ends[a, 0], plant.ends[a, 1]
-            e, q = series.e[a], series.q[a]
-            for c in range(3):
-                e[c, k + 1] = series.r[i, c, k + 1] - series.r[j, c, k + 1]
-            if k == 0:
-                q[0] = e[0, 0] * e[0, 0] + e[1, 0] * e[1, 0] + e[2, 0] * e[2, 0]
-            q[k + 1] = _square(e, k + 1)
-            if taut[a]:
-                _tension(
-                    plant.rest[a], plant.stiffness[a], plant.damping[a], q, series.d[a],
-                    series.g[a], series.p[a], k,
-                )
-                p = series.p[a]
-                fx = fy = fz = 0.0
-                for b in range(k + 1):
-                    pb = p[b]
-                    fx += pb * e[0, k - b]
-                    fy += pb * e[1, k - b]
-                    fz += pb * e[2, k - b]
-                mi, mj = plant.inv_mass[i], plant.inv_mass[j]
-                series.r[i, 0, k + 2] -= mi * fx
-                series.r[i, 1, k + 2] -= mi * fy
-                series.r[i, 2, k + 2] -= mi * fz
-                series.r[j, 0, k + 2] += mj * fx
-                series.r[j, 1, k + 2] += mj * fy
-                series.r[j, 2, k + 2] += mj * fz
+        _gravity(plant, series.r, series.u, series.f, k)
+        _tension(plant, taut, series, k)
         weight = 1.0 / ((k + 1) * (k + 2))
         for i in range(beads):
             for c in range(3):
                 series.r[i, c, k + 2] *= weight
     for a in range(tethers):
         i, j = plant.ends[a, 0], plant.ends[a, 1]
+        square = 0.0
         for c in range(3):
             series.e[a, c, order] = series.r[i, c, order] - series.r[j, c, order]
-        series.q[a, order] = _square(series.e[a], order)
+            for b in range(order + 1):
+                square += series.e[a, c, b] * series.e[a, c, np.uintp(order - b)]
+        series.q[a, order] = square
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _square(e, k):
-    """Coefficient k of e . e for e of shape (3, N+1)."""
-    total = 0.0
-    for b in range((k + 1) // 2):
-        total += e[0, b] * e[0, k - b] + e[1, b] * e[1, k - b] + e[2, b] * e[2, k - b]
-    total *= 2.0
-    if k % 2 == 0:
-        h = k // 2
-        total += e[0, h] * e[0, h] + e[1, h] * e[1, h] + e[2, h] * e[2, h]
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _gravity(plant, r, u, f, k, rate2, coriolis):
-    """Write coefficient k of gravity, centrifugal and Coriolis acceleration into r[:, k + 2]."""
-    if plant.linear_gravity:
-        x, y, z = 0.0, 3.0 * r[1, k], -r[2, k]
-    else:
-        u[k] = (2.0 * r[1, k] + _square(r, k) / plant.radius) / plant.radius
-        if k == 0:
-            p = (1.0 + u[0]) * math.sqrt(1.0 + u[0])
-            f[0] = u[0] * (3.0 + u[0] * (3.0 + u[0])) / (p * (1.0 + p))
+@njit(inline="always", error_model="numpy", fastmath={"contract"})
+def _gravity(plant, r, u, f, k):
+    """Write coefficient k of gravity, centrifugal and Coriolis acceleration into r[:, :, k + 2]."""
+    rate2, coriolis, radius = plant.rate * plant.rate, 2.0 * plant.rate * (k + 1), plant.radius
+    # Divisions are what takes longest here, so there are few.
+    curvature, share = 1.0 / radius, 1.0 / max(k, 1)
+    for i in range(r.shape[0]):
+        x0, y0, z0 = r[i, 0, 0], r[i, 1, 0], r[i, 2, 0]
+        xk, yk, zk = r[i, 0, k], r[i, 1, k], r[i, 2, k]
+        gx = gy = gz = 0.0
+        if plant.linear_gravity:
+            gy = 3.0 * yk
+        elif k == 0:
+            u0 = (2.0 * y0 + (x0 * x0 + y0 * y0 + z0 * z0) * curvature) * curvature
+            p = (1.0 + u0) * math.sqrt(1.0 + u0)
+            f0 = u0 * (3.0 + u0 * (3.0 + u0)) / (p * (1.0 + p))
+            u[i, 0], f[i, 0] = u0, f0
+            gx, gy, gz = f0 * x0, f0 * (y0 + radius), f0 * z0
         else:
-            total = 1.5 * k * u[k] * (1.0 - f[0])
+            square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
+            total, weight = 0.0, float(k)
             for b in range(1, k):
-                total -= (k + 0.5 * b) * u[b] * f[k - b]
-            f[k] = total / (k * (1.0 + u[0]))
-        x, y, z = 0.0, plant.radius * f[k], -r[2, k]
-        for b in range(k + 1):
-            fb = f[b]
-            x += fb * r[0, k - b]
-            y += fb * r[1, k - b]
-            z += fb * r[2, k - b]
-    r[0, k + 2] = rate2 * x + coriolis * (k + 1) * r[1, k + 1]
-    r[1, k + 2] = rate2 * y - coriolis * (k + 1) * r[0, k + 1]
-    r[2, k + 2] = rate2 * z
+                c = np.uintp(k - b)
+                xc, yc, zc, fb = r[i, 0, c], r[i, 1, c], r[i, 2, c], f[i, b]
+                square += r[i, 0, b] * xc + r[i, 1, b] * yc + r[i, 2, b] * zc
+                gx += fb * xc
+                gy += fb * yc
+                gz += fb * zc
+                weight += 0.5
+                total += weight * u[i, b] * f[i, c]
+            f0, uk = f[i, 0], (2.0 * yk + square * curvature) * curvature
+            fk = (1.5 * uk * (1.0 - f0) - total * share) / (1.0 + u[i, 0])
+            u[i, k], f[i, k] = uk, fk
+            gx += f0 * xk + fk * x0
+            gy += f0 * yk + fk * (y0 + radius)
+            gz += f0 * zk + fk * z0
+        r[i, 0, k + 2] = rate2 * gx + coriolis * r[i, 1, k + 1]
+        r[i, 1, k + 2] = rate2 * gy - coriolis * r[i, 0, k + 1]
+        r[i, 2, k + 2] = rate2 * (gz - zk)
+
+
+@njit(inline="always", error_model="numpy", fastmath={"contract"})
+def _tension(plant, taut, series, k):
+    """Add coefficient k of the tethers' acceleration to r[:, :, k + 2], and find q[:, k + 1]."""
+    r, e, q, d, g, p, _, _ = series
+    share = -0.5 / max(k, 1)
+    for a in range(q.shape[0]):
+        i, j = plant.ends[a, 0], plant.ends[a, 1]
+        x0, y0, z0 = e[a, 0, 0], e[a, 1, 0], e[a, 2, 0]
+        xn, yn = r[i, 0, k + 1] - r[j, 0, k + 1], r[i, 1, k + 1] - r[j, 1, k + 1]
+        zn = r[i, 2, k + 1] - r[j, 2, k + 1]
+        e[a, 0, k + 1], e[a, 1, k + 1], e[a, 2, k + 1] = xn, yn, zn
+        square = 2.0 * (x0 * xn + y0 * yn + z0 * zn)
+        if not taut[a]:
+            for b in range(1, k + 1):
+                c = np.uintp(k + 1 - b)
+                square += (
+                    e[a, 0, b] * e[a, 0, c] + e[a, 1, b] * e[a, 1, c] + e[a, 2, b] * e[a, 2, c]
+                )
+            q[a, k + 1] = square
+            continue
+        rate = inverse = fx = fy = fz = 0.0
+        for b in range(1, k + 1):
+            c, before = np.uintp(k + 1 - b), np.uintp(k - b)
+            xc, yc, zc, pb = e[a, 0, c], e[a, 1, c], e[a, 2, c], p[a, b - 1]
+            square += e[a, 0, b] * xc + e[a, 1, b] * yc + e[a, 2, b] * zc
+            fx += pb * xc
+            fy += pb * yc
+            fz += pb * zc
+            rate += q[a, b] * d[a, before]
+            inverse += d[a, b - 1] * g[a, before]
+        q[a, k + 1] = square
+        dk = ((k + 1) * square - rate) / q[a, 0]
+        d[a, k] = dk
+        if k == 0:
+            length = math.sqrt(q[a, 0])
+            g[a, 0] = 1.0 / length
+            pk = plant.stiffness[a] * (length - plant.rest[a]) / length
+        else:
+            g[a, k] = share * inverse
+            pk = -plant.stiffness[a] * plant.rest[a] * g[a, k]
+        pk += 0.5 * plant.damping[a] * dk
+        p[a, k] = pk
+        fx, fy, fz = fx + pk * x0, fy + pk * y0, fz + pk * z0
+        mi, mj = plant.inv_mass[i], plant.inv_mass[j]
+        r[i, 0, k + 2] -= mi * fx
+        r[i, 1, k + 2] -= mi * fy
+        r[i, 2, k + 2] -= mi * fz
+        r[j, 0, k + 2] += mj * fx
+        r[j, 1, k + 2] += mj * fy
+        r[j, 2, k + 2] += mj * fz
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _tension(rest, stiffness, damping, q, d, g, p, k):
-    """Coefficient k of the rate of log q, of 1 / length and of tension over length."""
-    total = (k + 1) * q[k + 1]
-    for b in range(1, k + 1):
-        total -= q[b] * d[k - b]
-    d[k] = total / q[0]
-    if k == 0:
-        length = math.sqrt(q[0])
-        g[0] = 1.0 / length
-        p[0] = stiffness * (length - rest) / length + 0.5 * damping * d[0]
-    else:
-        total = 0.0
-        for b in range(k):
-            total += d[b] * g[k - 1 - b]
-        g[k] = -0.5 * total / k
-        p[k] = 0.5 * damping * d[k] - stiffness * rest * g[k]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def longest_step(series_r, tolerance, length, speed):
-    """Step [s] whose last two terms are within the tolerance, of lengths [m] and speeds [m/s]."""
+def longest_step(series_r, tolerance, speed):
+    """Step [s] whose last two terms are within the tolerance, relative to a speed [m/s]."""
     order = series_r.shape[2] - 1
     last = before = 0.0
     for i in range(series_r.shape[0]):
         for c in range(3):
             last = max(last, abs(series_r[i, c, order]))
             before = max(before, abs(series_r[i, c, order - 1]))
-    step = _reach(tolerance * length, last, order)
-    step = min(step, _reach(tolerance * speed, last * order, order - 1))
-    step = min(step, _reach(tolerance * length, before, order - 1))
-    return min(step, _reach(tolerance * speed, before * (order - 1), order - 2))
+    return _longest(tolerance * speed, last, before, order)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _longest(allowed, last, before, order):
+    """Step whose last two terms of velocity are `allowed` [m/s], given the positions' largest.
+
+    Those of position are then smaller still, in units of the formation, for steps below a turn.
+    """
+    step = _reach(allowed, last * order, order - 1)
+    return min(step, _reach(allowed, before * (order - 1), order - 2))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -344,7 +364,7 @@ def _gravity_gradient(plant, r, u, f, step, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def longest_step_of_variations(out, tolerance, length, speed):
+def longest_step_of_variations(out, tolerance, speed):
     """The same as `longest_step` for variations (N+1, n, 3, k), scaled like the state."""
     order = out.shape[0] - 1
     last = before = 0.0
@@ -352,10 +372,7 @@ def longest_step_of_variations(out, tolerance, length, speed):
         last = max(last, abs(x))
     for x in out[order - 1].reshape(-1):
         before = max(before, abs(x))
-    step = _reach(tolerance * length, last, order)
-    step = min(step, _reach(tolerance * speed, last * order, order - 1))
-    step = min(step, _reach(tolerance * length, before, order - 1))
-    return min(step, _reach(tolerance * speed, before * (order - 1), order - 2))
+    return _longest(tolerance * speed, last, before, order)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
