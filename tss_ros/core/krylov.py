@@ -17,7 +17,7 @@ from tss_ros.core.steady_state import rotating
 from tss_ros.core.symmetry import cyclic_symmetry
 
 #: Displacements carried together, half of them in the orbit plane and half out of it.
-BLOCK = 8
+BLOCK = 16
 #: Most turns that are integrated for the multipliers, and parts of turns for one correction.
 MOST_TURNS, MOST_PARTS = 40, 64
 #: Applications of the map between two looks at what the space holds.
