@@ -9,6 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tss_ros import plots
+from tss_ros.core import floquet
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
 IS_SATELLITE = np.array([True, True, True, False])
@@ -86,6 +87,11 @@ def test_deviation_is_in_per_cent_against_turns_and_from_both_centres():
 
 def test_deviation_from_the_origin_alone_has_one_panel():
     assert len(plots.deviation([0, 1], np.zeros((2, 1)), ["a"]).axes) == 1
+
+
+def test_every_verdict_has_a_marker_of_its_own():
+    markers = [plots.VERDICT_STYLES[verdict]["marker"] for verdict in floquet.VERDICTS]
+    assert len(set(markers)) == len(markers) == len(plots.VERDICT_STYLES)
 
 
 VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "no periodic motion"]

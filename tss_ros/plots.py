@@ -24,6 +24,7 @@ VERDICT_STYLES = {
     "neutral": {"marker": "s", "color": "#009E73"},
     "unstable": {"marker": "X", "color": "#D55E00"},
     "no periodic motion": {"marker": "v", "color": "#555555"},
+    "undecided": {"marker": "d", "color": "#CC79A7"},
 }
 INK = "#333333"
 DPI = 200
