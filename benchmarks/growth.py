@@ -2,7 +2,7 @@
 
 Three-star rings whose 10 km tethers of 10 kg each are cut ever finer. For each: the rotating
 equilibrium, then integration steps of the motion from it, at -10 Omega, in processor time. Run as
-``python benchmarks/growth.py --json growth.json --png growth.png``; each ring has a process of
+``python -m benchmarks.growth --png growth.png``; each ring has a process of
 its own, so that memory is its own, too.
 """
 
@@ -84,10 +84,27 @@ def slope(rows, key):
     return np.polyfit(*(np.log([row[k] for row in long]) for k in ("beads", key)), 1)[0]
 
 
+def table(rows):
+    """Lines of Markdown."""
+    return [
+        "| beads | rotating equilibrium [ms] | a step [ms] | an iteration in it [us] | iterations |"
+        " memory [MB] |",
+        "|---:|---:|---:|---:|---:|---:|",
+        *(
+            f"| {row['beads']} | {row['steady_ms']:.1f} | {row['step_ms']:.2f}"
+            f" | {row['iteration_us']:.1f} | {row['iterations_per_step']:.1f}"
+            f" | {row['memory_mb']:.0f} |"
+            for row in rows
+        ),
+        "",
+        "From 100 beads on a step grows like beads to the power of"
+        f" {slope(rows, 'step_ms'):.2f}, the equilibrium like {slope(rows, 'steady_ms'):.2f}.",
+    ]
+
+
 def main():
-    """Print the table, write it as JSON and draw it."""
+    """Print the rows and the table as JSON, telling each row as it comes, and draw them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--png", metavar="FILE")
     parser.add_argument("--one", type=int, metavar="BEADS", help="measure one ring, print its JSON")
     options = parser.parse_args()
@@ -95,23 +112,15 @@ def main():
         print(json.dumps(measure(options.one)))
         return
     rows = []
-    print(" beads   equilibrium     step   iteration  iterations/step    memory")
     for beads in BEADS:
         answer = subprocess.run(
-            [sys.executable, __file__, "--one", str(beads)], check=True, stdout=subprocess.PIPE
+            [sys.executable, "-m", "benchmarks.growth", "--one", str(beads)],
+            check=True,
+            stdout=subprocess.PIPE,
         )
-        rows.append(row := json.loads(answer.stdout))
-        print(
-            f"{row['beads']:6} {row['steady_ms']:10.1f} ms {row['step_ms']:7.2f} ms"
-            f" {row['iteration_us']:8.1f} us {row['iterations_per_step']:11.1f}"
-            f" {row['memory_mb']:14.0f} MB",
-            flush=True,
-        )
-    for key in ("steady_ms", "step_ms", "iteration_us"):
-        print(f"{key} grows like beads ** {slope(rows, key):.2f} from 100 beads on")
-    if options.json:
-        with open(options.json, "w", encoding="utf-8") as file:
-            json.dump(rows, file, indent=1)
+        rows.append(json.loads(answer.stdout))
+        print(rows[-1], file=sys.stderr, flush=True)
+    print(json.dumps({"rows": rows, "markdown": table(rows)}, indent=1))
     if options.png:
         draw(rows, options.png)
 
