@@ -85,6 +85,8 @@ class StabilityNode(TssNode):
     def stop(self):
         """Give up the request and the sweep in hand, if any."""
         self._stopping.set()
+        # destroy_node leaves action servers, and they the node's shared memory.
+        self._sweeps.destroy()
 
     async def _on_request(self, work, request, response):
         def fill_in():
