@@ -156,7 +156,6 @@ def error_estimate(symbolic, tables, control, h, by_r, f0, v0, z, rise, real):
 
     f0, v0 (n,3,k): derivatives of velocity and position at the start; z, rise (s,n,3,k).
     """
-    lam = tables.real_value / h
     b_v, b_r = f0.copy(), v0.copy()
     for j in range(tables.stages):
         weight = tables.error[j] / h
@@ -165,14 +164,20 @@ def error_estimate(symbolic, tables, control, h, by_r, f0, v0, z, rise, real):
                 for c in range(v0.shape[2]):
                     b_v[i, p, c] += weight * z[j, i, p, c]
                     b_r[i, p, c] += weight * rise[j, i, p, c]
-    w = np.zeros(v0.shape)
-    add(w.reshape(-1), lam, b_v.reshape(-1))
-    multiply(symbolic, by_r, b_r, w)
-    solve_columns(symbolic, real, w)
+    return filtered_error(symbolic, tables, control, h, by_r, b_v, b_r, real)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def filtered_error(symbolic, tables, control, h, by_r, b_v, b_r, real):
+    """The same from the formula's sums of velocities and positions (n,3,k); b_v is overwritten."""
+    lam = tables.real_value / h
+    add(b_v.reshape(-1), lam - 1.0, b_v.reshape(-1))
+    multiply(symbolic, by_r, b_r, b_v)
+    solve_columns(symbolic, real, b_v)
     largest = 0.0
-    for i in range(v0.shape[0]):
+    for i in range(b_v.shape[0]):
         for p in range(3):
-            for c in range(v0.shape[2]):
-                largest = max(largest, abs(w[i, p, c]) / control.speed)
-                largest = max(largest, abs(w[i, p, c] + b_r[i, p, c]) / (lam * control.length))
+            for c in range(b_v.shape[2]):
+                largest = max(largest, abs(b_v[i, p, c]) / control.speed)
+                largest = max(largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * control.length))
     return largest

@@ -19,7 +19,7 @@ Series = namedtuple("Series", "r e q d g p u f")
 
 
 def order_for(rtol):
-    """Order at which a digit of accuracy costs least (Jorba and Zou)."""
+    """Order of the series: four more than Jorba and Zou's, for tethers that swing undamped."""
     return math.ceil(5.0 - 0.5 * math.log(rtol))
 
 

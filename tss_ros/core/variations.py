@@ -3,9 +3,9 @@
 import numpy as np
 from numba import njit
 
-from tss_ros.core.blocklu import factor_wide, solve_columns, solve_wide
+from tss_ros.core.blocklu import factor_wide, solve_wide
 from tss_ros.core.forces import jacobian
-from tss_ros.core.radau import add, multiply
+from tss_ros.core.radau import add, filtered_error, multiply
 
 #: Axes whose variations are coupled: all of them, or, along a motion that stays in the orbit plane,
 #: those in the plane and the one out of it apart.
@@ -117,24 +117,8 @@ def vary(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, by_r, re
             add(end_r[i].reshape(-1), h * tables.a[s - 1, j], zx[i, j].reshape(-1))
             add(b_v[i].reshape(-1), tables.error[j] / h, zx[i, j].reshape(-1))
             add(b_r[i].reshape(-1), weight[j], zx[i, j].reshape(-1))
-    error = _error_estimate(symbolic, tables, control, h, by_r, b_v, b_r, real)
+    error = filtered_error(symbolic, tables, control, h, by_r, b_v, b_r, real)
     if error <= control.tolerance:
         x_v[:] = end_v
         x_r[:] = end_r
     return error
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _error_estimate(symbolic, tables, control, h, by_r, b_v, b_r, real):
-    """`radau.error_estimate` from the sums b_v, b_r (n,3,k) of its embedded formula."""
-    lam = tables.real_value / h
-    add(b_v.reshape(-1), lam - 1.0, b_v.reshape(-1))
-    multiply(symbolic, by_r, b_r, b_v)
-    solve_columns(symbolic, real, b_v)
-    largest = 0.0
-    for i in range(b_v.shape[0]):
-        for p in range(3):
-            for c in range(b_v.shape[2]):
-                largest = max(largest, abs(b_v[i, p, c]) / control.speed)
-                largest = max(largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * control.length))
-    return largest
