@@ -69,11 +69,11 @@ def test_without_recorders_nothing_holds_it(run):
 
 
 def test_it_stays_within_the_window_of_the_slowest_recorder(run):
-    run.report(-1)
-    run.report(-1, output="b")
+    run.flow.published = 0
+    run.report(0)
+    run.report(0, output="b")
     run.start(100)
-    # Nothing was published when the recorders came, so they are taken to stand before step 0.
-    assert run.stays_at(-1 + WINDOW)
+    assert run.stays_at(WINDOW)
     run.report(5)
     run.report(9, output="b")
     assert run.stays_at(5 + WINDOW)
@@ -82,25 +82,24 @@ def test_it_stays_within_the_window_of_the_slowest_recorder(run):
     assert run.ended.wait(5)
 
 
-def test_a_recorder_that_is_not_connected_does_not_count(run):
-    run.report(-1, matched=False)
+@pytest.mark.parametrize(
+    "report", [{"last_step": -1, "matched": False}, {"last_step": -1}, {"last_step": 123_456}]
+)
+def test_while_a_recorder_joins_steps_go_out_slowly(run, report):
+    """Not connected, without any step, and with one of an earlier simulator's steps only."""
+    run.report(**report)
     run.start(1000)
-    assert run.ended.wait(5)
-
-
-def test_reports_about_an_earlier_run_count_from_now(run):
-    run.report(123_456)
-    run.start(100)
-    assert run.stays_at(-1 + WINDOW)
-    run.report(95)
-    assert run.stays_at(-1 + WINDOW)
+    run.reaches(3)
+    begun = time.monotonic()
+    run.reaches(8)
+    assert time.monotonic() - begun > 4 * flow_control.JOIN_STEP_S
     run.report(7)
     assert run.stays_at(7 + WINDOW)
 
 
 def test_a_recorder_that_gets_nothing_holds_it_only_for_a_while(run, monkeypatch):
-    monkeypatch.setattr(flow_control, "JOIN_S", 0.1)
-    run.start(3 * WINDOW)
+    monkeypatch.setattr(flow_control, "JOIN_STEPS", 5)
+    run.start(100_000)
     while not run.ended.wait(0.02):
         run.report(-1)
     assert not run.warnings
@@ -108,7 +107,8 @@ def test_a_recorder_that_gets_nothing_holds_it_only_for_a_while(run, monkeypatch
 
 def test_a_silent_recorder_is_given_up(run, monkeypatch):
     monkeypatch.setattr(flow_control, "SILENCE_S", 0.3)
-    run.report(-1)
+    run.flow.published = 0
+    run.report(0)
     begun = time.monotonic()
     run.start(100)
     assert run.ended.wait(5)
@@ -117,19 +117,29 @@ def test_a_silent_recorder_is_given_up(run, monkeypatch):
 
 
 def test_recorders_that_left_are_forgotten(run):
-    run.report(-1)
+    run.flow.published = 0
+    run.report(0)
     run.start(100)
-    assert run.stays_at(-1 + WINDOW)
+    assert run.stays_at(WINDOW)
     run.flow.on_recorders_gone()
     assert run.ended.wait(5)
 
 
-def test_drained_means_that_every_recorder_has_everything(run):
+def test_drained_means_that_every_recorder_has_everything(run, monkeypatch):
     run.report(-1)
+    assert run.flow.ready(drain=True)
     run.flow.published = 3
     run.report(3, output="b")
-    assert run.flow.ready() and not run.flow.ready(drain=True)
-    run.report(2)
     assert not run.flow.ready(drain=True)
+    run.report(2)
+    assert run.flow.ready() and not run.flow.ready(drain=True)
     run.report(3)
+    assert run.flow.ready(drain=True)
+    run.report(-1, output="c")
+    assert run.flow.ready(drain=True)
+    run.flow.published = 4
+    run.report(4)
+    run.report(4, output="b")
+    assert not run.flow.ready(drain=True)
+    monkeypatch.setattr(flow_control, "JOIN_S", 0.0)
     assert run.flow.ready(drain=True)

@@ -6,17 +6,28 @@ from typing import NamedTuple
 
 #: A recorder that says nothing for this long [s] is gone.
 SILENCE_S = 2.0
-#: A recorder that has got nothing for this long [s] is not connected yet.
-JOIN_S = 1.0
+#: While a recorder joins, steps go out this far [s] apart, so that what the middleware repeats, as
+#: late as 3 s after it was lost, is still there; after so many steps it is not waited for any more.
+JOIN_STEP_S, JOIN_STEPS = 0.05, 100
+#: Steps that have not reached a joining recorder after this long [s] never will.
+JOIN_S = 5.0
 
 
 class Recorder(NamedTuple):
-    """One recorder: newest step it has, when it was heard and since when it stands there [s]."""
+    """One recorder.
+
+    step : newest step it has, or while it joins the newest one published when it was first heard
+    heard : when it was last heard [s]
+    lost : messages that it missed
+    matched : whether it has found the simulator's topics
+    joining : whether nothing of this run has reached it yet
+    """
 
     step: int
     heard: float
-    since: float
     lost: int
+    matched: bool
+    joining: bool
 
 
 class FlowControl:
@@ -33,12 +44,21 @@ class FlowControl:
     """
 
     def __init__(self, window, logger, on_change):
-        self.published = -1
+        self._published, self._published_at = -1, time.monotonic()
         self._window = window
         self._logger = logger
         self._on_change = on_change
         self._recorders = {}
         self._lock = threading.Lock()
+
+    @property
+    def published(self):
+        """The newest step that is published, -1 before the first."""
+        return self._published
+
+    @published.setter
+    def published(self, step):
+        self._published, self._published_at = step, time.monotonic()
 
     @property
     def recorders(self):
@@ -48,20 +68,21 @@ class FlowControl:
 
     def on_status(self, status):
         """Take a RecorderStatus, in any thread."""
-        now = time.monotonic()
+        now, output = time.monotonic(), status.output
         with self._lock:
-            if not (status.recording and status.matched):
-                self._recorders.pop(status.output, None)
-            elif 0 <= status.last_step <= self.published:
-                self._recorders[status.output] = Recorder(status.last_step, now, now, status.lost)
+            if not status.recording:
+                self._recorders.pop(output, None)
+            elif status.matched and 0 <= status.last_step <= self.published:
+                self._recorders[output] = Recorder(
+                    status.last_step, now, status.lost, matched=True, joining=False
+                )
             else:
-                # Nothing of this run has reached it: count from here, and again if that lasts,
-                # because steps published before the middleware has joined both ends never arrive.
-                begin = Recorder(self.published, now, now, 0)
-                step, _, since, _ = self._recorders.get(status.output, begin)
-                if now - since > JOIN_S:
-                    step, since = self.published, now
-                self._recorders[status.output] = Recorder(step, now, since, status.lost)
+                # Nothing of this run has reached it: count from where it was first heard.
+                known = self._recorders.get(output)
+                step = known.step if known and known.joining else self.published
+                self._recorders[output] = Recorder(
+                    step, now, status.lost, status.matched, joining=True
+                )
         self._on_change()
 
     def on_recorders_gone(self):
@@ -74,11 +95,21 @@ class FlowControl:
         """Whether the next step may be published; with `drain`, whether all have everything."""
         if not self._recorders:
             return True
-        ahead = 0 if drain else self._window - 1
         with self._lock:
             self._forget_silent()
-            steps = [recorder.step for recorder in self._recorders.values()]
-        return all(self.published - step <= ahead for step in steps)
+            recorders = list(self._recorders.values())
+        ahead = 0 if drain else self._window - 1
+        since_s = time.monotonic() - self._published_at
+        for recorder in recorders:
+            behind = self.published - recorder.step
+            if recorder.joining:
+                if behind > JOIN_STEPS or drain and not behind:
+                    continue
+                if since_s < (JOIN_S if drain else JOIN_STEP_S):
+                    return False
+            elif behind > ahead:
+                return False
+        return True
 
     def _forget_silent(self):
         for output, recorder in list(self._recorders.items()):

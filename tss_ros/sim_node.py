@@ -132,7 +132,7 @@ class SimNode(TssNode):
         if not self._options["wait_for_recorder"]:
             return True
         self.get_logger().info("waiting for a recorder", once=True)
-        return bool(self._flow.recorders) and all(
+        return any(recorder.matched for recorder in self._flow.recorders.values()) and all(
             self._publisher[name].get_subscription_count() for name in self._recorded
         )
 
