@@ -11,8 +11,9 @@ import math
 import numpy as np
 from numba import njit
 
-from tss_ros.core import taylor
+from tss_ros.core import taylor, taylor_variations
 from tss_ros.core.forces import stretch
+from tss_ros.core.lanes import WIDTH, kernel
 from tss_ros.core.steps import (
     ANY_STEP,
     AT_ONCE,
@@ -78,7 +79,7 @@ def begin(plant, tables, control, v, r, columns, first_step):
         np.array(r, dtype=float),
         np.zeros((s, n, 3)),
         np.zeros((s, n, 3)),
-        np.zeros((n, 3, control.order + 1)),
+        np.zeros((-(-n // WIDTH), control.order + 1, 3, WIDTH)),
         np.zeros((n, 3, columns)),
         np.zeros((n, 3, columns)),
         np.zeros(1),
@@ -101,8 +102,7 @@ def _sample(plant, tables, motion, times, out_v, out_r):
                 fraction = (now - motion.time[2]) / motion.time[3]
                 interpolate(tables, motion.z, fraction, v)
                 interpolate(tables, motion.rise, fraction, r)
-            n = r.shape[0]
-            to_orbit_frame(plant.spin, now, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
+            to_orbit_frame(plant.spin, now, v, r, v, r)
         motion.count[4] += 1
 
 
@@ -148,7 +148,7 @@ def advance(
         np.empty(plant.rest.size),
         np.empty(plant.rest.size),
         taylor.blank(n, plant.rest.size, order),
-        np.empty((order + 1, *motion.x_r.shape)),
+        taylor_variations.blank(n, plant.rest.size, order, motion.x_r.shape[2]),
     )
     made, most_switches = 0, motion.count[3] + switches
     follows, both = True, control.kind == BOTH
@@ -175,7 +175,7 @@ def advance(
             continue
         if h == AT_ONCE:
             before = motion.count[3]
-            toggle(plant, motion, which, 1e-12 * plant.rest[which])
+            toggle(plant, motion, which, 1e-12 * plant.rest[which], work.excess, work.growth)
             if motion.count[3] == before:
                 return STEP_TOO_SMALL
             if both:
@@ -198,7 +198,7 @@ def advance(
         if both:
             _choose(plant, control, motion, work, natural)
         if which >= 0:
-            toggle(plant, motion, which, 1e-12 * plant.rest[which])
+            toggle(plant, motion, which, 1e-12 * plant.rest[which], work.excess, work.growth)
             motion.time[4] = ANY_STEP
             motion.time[1] = min(motion.time[1], 0.2 * natural)
             if motion.taut[which]:
@@ -208,17 +208,18 @@ def advance(
                 motion.time[1] = min(motion.time[1], 2.0 / rate)
             if both:
                 _start_anew(motion)
-        _sample(plant, tables, motion, times, out_v, out_r)
+        if motion.count[4] < times.size:
+            _sample(plant, tables, motion, times, out_v, out_r)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _start_anew(motion):
     """Forget, after a switch, what spoke for one kind of step or the other."""
     motion.count[NEXT] = EXPLICIT
     motion.count[DOUBT] = motion.count[HOLD] = motion.count[BACKOFF] = 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _choose(plant, control, motion, work, natural):
     """Choose the kind of the next step; `natural` is the size the last one could have had."""
     count = motion.count
@@ -238,7 +239,7 @@ def _choose(plant, control, motion, work, natural):
             count[HOLD] = count[BACKOFF]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fastest_rate(plant, taut, sums):
     """Bound [1/s] of the rates at which taut tethers swing or decay. `sums` is overwritten."""
     for i in range(sums.shape[0]):

@@ -6,8 +6,9 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from tss_ros.core import taylor
+from tss_ros.core import taylor, taylor_variations
 from tss_ros.core.forces import acceleration, jacobian, stretch
+from tss_ros.core.lanes import WIDTH, kernel, load, store
 from tss_ros.core.radau import add, error_estimate, newton_matrices, solve_stages
 from tss_ros.core.switching import first_switch, first_switch_of_series
 from tss_ros.core.variations import vary
@@ -25,7 +26,7 @@ NEXT, LAST, DOUBT, HOLD, BACKOFF = range(5, 10)
 #: of the last step, largest step that Newton's iteration bears. count (10,): accepted steps,
 #: rejected steps, Newton iterations, switches, sampled times, and as above. taut (m,). v, r (n,3):
 #: state now. v0, r0 (n,3), z, rise (s,n,3): start of the last implicit step and the increments of
-#: velocity and position at its nodes. series (n,3,N+1): the last explicit step, in the orbit frame.
+#: velocity and position at its nodes. series: `Series.r` of the last explicit step.
 #: x_v, x_r (n,3,k): variations of velocity and position, k may be 0. dissipation (1,): integral of
 #: the trace of the damping matrix over time.
 Motion = namedtuple("Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation")
@@ -38,35 +39,44 @@ Work = namedtuple(
 REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def copy(source, target):
-    """target[:] = source for flat views, without what numba spends on slices."""
-    for i in range(source.size):
-        target[i] = source[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def to_orbit_frame(spin, time, v, r):
-    """Turn velocities and positions (n,3,k) of the turning frame into those of the orbit frame."""
+@kernel
+def to_orbit_frame(spin, time, v, r, out_v, out_r):
+    """Turn velocities and positions (n,3) of the turning frame into those of the orbit frame."""
     c, s = math.cos(spin * time), math.sin(spin * time)
     for i in range(r.shape[0]):
-        for b in range(r.shape[2]):
-            x, y = r[i, 0, b], r[i, 1, b]
-            vx, vy = v[i, 0, b] - spin * y, v[i, 1, b] + spin * x
-            r[i, 0, b], r[i, 1, b] = c * x - s * y, s * x + c * y
-            v[i, 0, b], v[i, 1, b] = c * vx - s * vy, s * vx + c * vy
+        x, y = r[i, 0], r[i, 1]
+        vx, vy = v[i, 0] - spin * y, v[i, 1] + spin * x
+        out_r[i, 0], out_r[i, 1], out_r[i, 2] = c * x - s * y, s * x + c * y, r[i, 2]
+        out_v[i, 0], out_v[i, 1], out_v[i, 2] = c * vx - s * vy, s * vx + c * vy, v[i, 2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def to_turning_frame(spin, time, v, r):
-    """Inverse of `to_orbit_frame`."""
+    """The other way round, in place."""
     c, s = math.cos(spin * time), math.sin(spin * time)
     for i in range(r.shape[0]):
-        for b in range(r.shape[2]):
-            x, y = c * r[i, 0, b] + s * r[i, 1, b], c * r[i, 1, b] - s * r[i, 0, b]
-            vx, vy = c * v[i, 0, b] + s * v[i, 1, b], c * v[i, 1, b] - s * v[i, 0, b]
-            r[i, 0, b], r[i, 1, b] = x, y
-            v[i, 0, b], v[i, 1, b] = vx + spin * y, vy - spin * x
+        x, y = c * r[i, 0] + s * r[i, 1], c * r[i, 1] - s * r[i, 0]
+        vx, vy = c * v[i, 0] + s * v[i, 1], c * v[i, 1] - s * v[i, 0]
+        r[i, 0], r[i, 1] = x, y
+        v[i, 0], v[i, 1] = vx + spin * y, vy - spin * x
+
+
+@kernel
+def turn_variations(spin, time, x_v, x_r, back):
+    """`to_orbit_frame` of variations (n,3,k), or if `back` to the turning frame; in place."""
+    c, s, rate = math.cos(spin * time), math.sin(spin * time), 0.0 if back else spin
+    if back:
+        s = -s
+    for i in range(x_r.shape[0]):
+        for b in range(x_r.shape[2]):
+            x, y = x_r[i, 0, b], x_r[i, 1, b]
+            vx, vy = x_v[i, 0, b] - rate * y, x_v[i, 1, b] + rate * x
+            x, y, vx, vy = c * x - s * y, s * x + c * y, c * vx - s * vy, s * vx + c * vy
+            x_r[i, 0, b], x_r[i, 1, b] = x, y
+            x_v[i, 0, b], x_v[i, 1, b] = vx, vy
+            if back:
+                x_v[i, 0, b] += spin * y
+                x_v[i, 1, b] -= spin * x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -92,64 +102,51 @@ def _guess(tables, old, offset, scale, base, z):
         interpolate(tables, old, offset + scale * tables.c[j], z[j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def explicit_step(plant, control, motion, work, stop):
     """One step by Taylor series, up to the first switch.
 
     Returns its size, the size it could have had without switch and stop, and the tether that
     switches at its end or -1.
     """
-    n, t = motion.r.shape[0], motion.time[0]
-    series, columns = work.series, motion.x_r.shape[2]
+    t, series, columns = motion.time[0], work.series, motion.x_r.shape[2]
     v, r = work.trial_v, work.trial_r
-    copy(motion.v.reshape(-1), v.reshape(-1))
-    copy(motion.r.reshape(-1), r.reshape(-1))
-    to_orbit_frame(plant.spin, t, v.reshape(n, 3, 1), r.reshape(n, 3, 1))
+    to_orbit_frame(plant.spin, t, motion.v, motion.r, v, r)
     taylor.expand(plant, motion.taut, v, r, series)
     natural = min(
         control.longest,
         taylor.longest_step(series.r, control.explicit_tolerance, control.speed),
     )
     if columns > 0:
-        to_orbit_frame(plant.spin, t, motion.x_v, motion.x_r)
-        taylor.expand_variations(
+        turn_variations(plant.spin, t, motion.x_v, motion.x_r, False)
+        taylor_variations.expand_variations(
             plant, motion.taut, series, natural, motion.x_v, motion.x_r, work.variations
         )
         natural = min(
             natural,
-            taylor.longest_step_of_variations(
-                work.variations, control.explicit_tolerance, control.speed
+            taylor_variations.longest_step_of_variations(
+                work.variations.x, control.explicit_tolerance, control.speed
             ),
         )
     h, which = natural, -1
     if t + 1.01 * h >= stop:
         h = stop - t
     if not plant.bilateral:
-        fraction, which = first_switch_of_series(plant, motion.taut, series.q, h)
+        earliest, which = first_switch_of_series(plant, motion.taut, series, h)
     if which >= 0:
-        full = h
-        h = fraction * full
-        for _ in range(6):
-            if not 1e-10 * full < h <= full * (1.0 + 1e-9):
-                break
-            taylor.evaluate(series.r, h, v, r)
-            stretch(plant, v, r, work.excess, work.growth)
-            miss = abs(work.excess[which])
-            if miss <= 4e-15 * plant.rest[which] or miss <= 1e-15 * full * abs(work.growth[which]):
-                break
-            h -= work.excess[which] / work.growth[which]
-        h = AT_ONCE if h < 1e-10 * full else min(h, full)
+        h = AT_ONCE if earliest < 1e-10 * h else min(earliest, h)
     elif h <= 1e-14 * max(t, control.length / control.speed):
         h = TOO_SMALL
     end = h if h > 0.0 else 0.0
     if columns > 0:
         if end > 0.0:
-            taylor.evaluate_variations(work.variations, end, motion.x_v, motion.x_r)
-        to_turning_frame(plant.spin, t + end, motion.x_v, motion.x_r)
+            taylor_variations.evaluate_variations(work.variations.x, end, motion.x_v, motion.x_r)
+        turn_variations(plant.spin, t + end, motion.x_v, motion.x_r, True)
     if end > 0.0:
-        copy(series.r.reshape(-1), motion.series.reshape(-1))
+        for i in range(0, series.r.size, WIDTH):
+            store(motion.series, i, load(series.r, i))
         taylor.evaluate(series.r, end, motion.v, motion.r)
-        to_turning_frame(plant.spin, t + end, motion.v.reshape(n, 3, 1), motion.r.reshape(n, 3, 1))
+        to_turning_frame(plant.spin, t + end, motion.v, motion.r)
     return h, natural, which
 
 

@@ -1,4 +1,4 @@
-"""One explicit step: Taylor series of the motion and of its variations, Eqs. (1), (12) and (52).
+"""One explicit step: Taylor series of the motion, Eqs. (1) to (6).
 
 The orbit frame is used, where the equations do not contain time. Coefficients follow from
 recurrences (A. Jorba and M. Zou, "A software package for the numerical integration of ODEs by means
@@ -11,11 +11,31 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-#: Taylor coefficients by powers of time since the start of the step, up to N, the order. r
-#: (n,3,N+1): positions. e (m,3,N+1), q (m,N+1): vectors along tethers and their squared lengths;
-#: where taut also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f
-#: (n,N+1): gravity's distance variable and factor as in `forces.acceleration`.
-Series = namedtuple("Series", "r e q d g p u f")
+from tss_ros.core.lanes import (
+    WIDTH,
+    kernel,
+    lane,
+    load,
+    load3,
+    only_where,
+    splat,
+    sqrt,
+    store,
+    store3,
+)  # fmt: skip
+from tss_ros.core.switching import DEEPEST
+
+#: Taylor coefficients by powers of time since the start of the step, up to N, the order. Beads and
+#: tethers lie in blocks of W = `WIDTH` lanes, the last of which may be idle. r (n/W,N+1,3,W):
+#: positions. e (m/W,N+1,3,W), q (m/W,N+1,W): vectors along tethers and their squared lengths; where
+#: taut also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f (n/W,N+1,W):
+#: gravity's distance variable and factor as in `forces.acceleration`. tether (m/W,7,W): 1 where
+#: taut, stiffness, half the damping, rest length, and room for three components. margin (5,W),
+#: bernstein (N+1,W), pieces: room for `switching`.
+Series = namedtuple("Series", "r e q d g p u f tether margin bernstein pieces")
+#: Rows of `Series.tether`, times WIDTH.
+TAUT, STIFFNESS, DAMPING, REST, PULL = 0, WIDTH, 2 * WIDTH, 3 * WIDTH, 4 * WIDTH
+ROWS = 7
 
 
 def order_for(rtol):
@@ -25,155 +45,184 @@ def order_for(rtol):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def blank(beads, tethers, order):
-    """Room for a `Series`."""
-    size = order + 1
-    tether = np.empty((5, tethers, size))
+    """Room for a `Series`, with idle lanes at rest."""
+    n, m, size = -(-beads // WIDTH), -(-tethers // WIDTH), order + 1
     return Series(
-        np.empty((beads, 3, size)), np.empty((tethers, 3, size)), tether[0], tether[1], tether[2],
-        tether[3], np.empty((beads, size)), np.empty((beads, size)),
-    )
+        np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)), np.ones((m, size, WIDTH)),
+        np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)),
+        np.zeros((n, size, WIDTH)), np.zeros((n, size, WIDTH)), np.zeros((m, ROWS, WIDTH)),
+        np.zeros((5, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
+    )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def expand(plant, taut, v, r, series):
     """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame."""
-    order = series.r.shape[2] - 1
-    beads, tethers = r.shape[0], plant.rest.size
+    order, beads, tethers = series.r.shape[1] - 1, r.shape[0], plant.rest.size
     for i in range(beads):
         for c in range(3):
-            series.r[i, c, 0] = r[i, c]
-            series.r[i, c, 1] = v[i, c]
+            series.r[i // WIDTH, 0, c, i % WIDTH] = r[i, c]
+            series.r[i // WIDTH, 1, c, i % WIDTH] = v[i, c]
+    any_taut = False
     for a in range(tethers):
         i, j = plant.ends[a, 0], plant.ends[a, 1]
-        square = 0.0
+        block, at, square = a // WIDTH, a % WIDTH, 0.0
         for c in range(3):
-            series.e[a, c, 0] = r[i, c] - r[j, c]
-            square += series.e[a, c, 0] * series.e[a, c, 0]
-        series.q[a, 0] = square
+            x = r[i, c] - r[j, c]
+            series.e[block, 0, c, at] = x
+            square += x * x
+        series.q[block, 0, at] = square
+        series.tether[block, 0, at] = 1.0 if taut[a] else 0.0
+        series.tether[block, 1, at] = plant.stiffness[a]
+        series.tether[block, 2, at] = 0.5 * plant.damping[a]
+        series.tether[block, 3, at] = plant.rest[a]
+        any_taut |= taut[a]
     for k in range(order - 1):
-        _gravity(plant, series.r, series.u, series.f, k)
-        _tension(plant, taut, series, k)
         weight = 1.0 / ((k + 1) * (k + 2))
-        for i in range(beads):
-            for c in range(3):
-                series.r[i, c, k + 2] *= weight
-    for a in range(tethers):
+        for block in range(series.r.shape[0]):
+            _gravity(plant, series, block, k, weight)
+        _differences(plant, series, k + 1)
+        for block in range(series.e.shape[0]):
+            if any_taut:
+                _tension(series, block, k)
+            else:
+                _square(series, block, k + 1)
+        if any_taut:
+            for a in range(tethers):
+                if taut[a]:
+                    i, j = plant.ends[a, 0], plant.ends[a, 1]
+                    mi, mj = weight * plant.inv_mass[i], weight * plant.inv_mass[j]
+                    for c in range(3):
+                        pull = series.tether[a // WIDTH, 4 + c, a % WIDTH]
+                        series.r[i // WIDTH, k + 2, c, i % WIDTH] -= mi * pull
+                        series.r[j // WIDTH, k + 2, c, j % WIDTH] += mj * pull
+    _differences(plant, series, order)
+    for block in range(series.e.shape[0]):
+        _square(series, block, order)
+
+
+@njit(inline="always", error_model="numpy", fastmath={"contract"})
+def _gravity(plant, series, block, k, weight):
+    """Write what gravity, centrifugal and Coriolis acceleration do to coefficient k + 2 of r."""
+    r, u, f = series.r, series.u, series.f
+    rate2, coriolis = weight * plant.rate * plant.rate, weight * 2.0 * plant.rate * (k + 1)
+    curvature = 1.0 / plant.radius
+    one = block * u.shape[1] * WIDTH  # where the block begins in u and f, and so
+    three = 3 * one  # in r
+    now = three + 3 * WIDTH * k
+    x0, y0, z0 = load3(r, three)
+    xk, yk, zk = load3(r, now)
+    gx = gy = gz = splat(0.0)
+    if plant.linear_gravity:
+        gy = 3.0 * yk
+    elif k == 0:
+        u0 = (2.0 * y0 + (x0 * x0 + y0 * y0 + z0 * z0) * curvature) * curvature
+        p = (1.0 + u0) * sqrt(1.0 + u0)
+        f0 = u0 * (3.0 + u0 * (3.0 + u0)) / (p * (1.0 + p))
+        store(u, one, u0)
+        store(f, one, f0)
+        gx, gy, gz = f0 * x0, f0 * (y0 + plant.radius), f0 * z0
+    else:
+        square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
+        total, share = splat(0.0), float(k)
+        for b in range(1, k):
+            here, there = one + WIDTH * b, one + WIDTH * (k - b)
+            xb, yb, zb = load3(r, three + 3 * WIDTH * b)
+            xc, yc, zc = load3(r, three + 3 * WIDTH * (k - b))
+            fb = load(f, here)
+            square += xb * xc + yb * yc + zb * zc
+            gx += fb * xc
+            gy += fb * yc
+            gz += fb * zc
+            share += 0.5
+            total += share * load(u, here) * load(f, there)
+        f0, uk = load(f, one), (2.0 * yk + square * curvature) * curvature
+        fk = (1.5 * uk * (1.0 - f0) - total * (1.0 / k)) / (1.0 + load(u, one))
+        store(u, one + WIDTH * k, uk)
+        store(f, one + WIDTH * k, fk)
+        gx += f0 * xk + fk * x0
+        gy += f0 * yk + fk * (y0 + plant.radius)
+        gz += f0 * zk + fk * z0
+    vx, vy, _ = load3(r, now + 3 * WIDTH)
+    ax, ay, az = rate2 * gx + coriolis * vy, rate2 * gy - coriolis * vx, rate2 * (gz - zk)
+    store3(r, now + 6 * WIDTH, ax, ay, az)
+
+
+@njit(inline="always", error_model="numpy")
+def _differences(plant, series, k):
+    """Coefficient k of the vectors along tethers."""
+    for a in range(plant.rest.size):
         i, j = plant.ends[a, 0], plant.ends[a, 1]
-        square = 0.0
         for c in range(3):
-            series.e[a, c, order] = series.r[i, c, order] - series.r[j, c, order]
-            for b in range(order + 1):
-                square += series.e[a, c, b] * series.e[a, c, np.uintp(order - b)]
-        series.q[a, order] = square
+            series.e[a // WIDTH, k, c, a % WIDTH] = (
+                series.r[i // WIDTH, k, c, i % WIDTH] - series.r[j // WIDTH, k, c, j % WIDTH]
+            )
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _gravity(plant, r, u, f, k):
-    """Write coefficient k of gravity, centrifugal and Coriolis acceleration into r[:, :, k + 2]."""
-    rate2, coriolis, radius = plant.rate * plant.rate, 2.0 * plant.rate * (k + 1), plant.radius
-    # Divisions are what takes longest here, so there are few.
-    curvature, share = 1.0 / radius, 1.0 / max(k, 1)
-    for i in range(r.shape[0]):
-        x0, y0, z0 = r[i, 0, 0], r[i, 1, 0], r[i, 2, 0]
-        xk, yk, zk = r[i, 0, k], r[i, 1, k], r[i, 2, k]
-        gx = gy = gz = 0.0
-        if plant.linear_gravity:
-            gy = 3.0 * yk
-        elif k == 0:
-            u0 = (2.0 * y0 + (x0 * x0 + y0 * y0 + z0 * z0) * curvature) * curvature
-            p = (1.0 + u0) * math.sqrt(1.0 + u0)
-            f0 = u0 * (3.0 + u0 * (3.0 + u0)) / (p * (1.0 + p))
-            u[i, 0], f[i, 0] = u0, f0
-            gx, gy, gz = f0 * x0, f0 * (y0 + radius), f0 * z0
-        else:
-            square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
-            total, weight = 0.0, float(k)
-            for b in range(1, k):
-                c = np.uintp(k - b)
-                xc, yc, zc, fb = r[i, 0, c], r[i, 1, c], r[i, 2, c], f[i, b]
-                square += r[i, 0, b] * xc + r[i, 1, b] * yc + r[i, 2, b] * zc
-                gx += fb * xc
-                gy += fb * yc
-                gz += fb * zc
-                weight += 0.5
-                total += weight * u[i, b] * f[i, c]
-            f0, uk = f[i, 0], (2.0 * yk + square * curvature) * curvature
-            fk = (1.5 * uk * (1.0 - f0) - total * share) / (1.0 + u[i, 0])
-            u[i, k], f[i, k] = uk, fk
-            gx += f0 * xk + fk * x0
-            gy += f0 * yk + fk * (y0 + radius)
-            gz += f0 * zk + fk * z0
-        r[i, 0, k + 2] = rate2 * gx + coriolis * r[i, 1, k + 1]
-        r[i, 1, k + 2] = rate2 * gy - coriolis * r[i, 0, k + 1]
-        r[i, 2, k + 2] = rate2 * (gz - zk)
+def _square(series, block, k):
+    """Coefficient k of the squared lengths."""
+    one = block * series.q.shape[1] * WIDTH
+    square = splat(0.0)
+    for b in range(k + 1):
+        xb, yb, zb = load3(series.e, 3 * (one + WIDTH * b))
+        xc, yc, zc = load3(series.e, 3 * (one + WIDTH * (k - b)))
+        square += xb * xc + yb * yc + zb * zc
+    store(series.q, one + WIDTH * k, square)
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _tension(plant, taut, series, k):
-    """Add coefficient k of the tethers' acceleration to r[:, :, k + 2], and find q[:, k + 1]."""
-    r, e, q, d, g, p, _, _ = series
-    share = -0.5 / max(k, 1)
-    for a in range(q.shape[0]):
-        i, j = plant.ends[a, 0], plant.ends[a, 1]
-        x0, y0, z0 = e[a, 0, 0], e[a, 1, 0], e[a, 2, 0]
-        xn, yn = r[i, 0, k + 1] - r[j, 0, k + 1], r[i, 1, k + 1] - r[j, 1, k + 1]
-        zn = r[i, 2, k + 1] - r[j, 2, k + 1]
-        e[a, 0, k + 1], e[a, 1, k + 1], e[a, 2, k + 1] = xn, yn, zn
-        square = 2.0 * (x0 * xn + y0 * yn + z0 * zn)
-        if not taut[a]:
-            for b in range(1, k + 1):
-                c = np.uintp(k + 1 - b)
-                square += (
-                    e[a, 0, b] * e[a, 0, c] + e[a, 1, b] * e[a, 1, c] + e[a, 2, b] * e[a, 2, c]
-                )
-            q[a, k + 1] = square
-            continue
-        rate = inverse = fx = fy = fz = 0.0
-        for b in range(1, k + 1):
-            c, before = np.uintp(k + 1 - b), np.uintp(k - b)
-            xc, yc, zc, pb = e[a, 0, c], e[a, 1, c], e[a, 2, c], p[a, b - 1]
-            square += e[a, 0, b] * xc + e[a, 1, b] * yc + e[a, 2, b] * zc
-            fx += pb * xc
-            fy += pb * yc
-            fz += pb * zc
-            rate += q[a, b] * d[a, before]
-            inverse += d[a, b - 1] * g[a, before]
-        q[a, k + 1] = square
-        dk = ((k + 1) * square - rate) / q[a, 0]
-        d[a, k] = dk
-        if k == 0:
-            length = math.sqrt(q[a, 0])
-            g[a, 0] = 1.0 / length
-            pk = plant.stiffness[a] * (length - plant.rest[a]) / length
-        else:
-            g[a, k] = share * inverse
-            pk = -plant.stiffness[a] * plant.rest[a] * g[a, k]
-        pk += 0.5 * plant.damping[a] * dk
-        p[a, k] = pk
-        fx, fy, fz = fx + pk * x0, fy + pk * y0, fz + pk * z0
-        mi, mj = plant.inv_mass[i], plant.inv_mass[j]
-        r[i, 0, k + 2] -= mi * fx
-        r[i, 1, k + 2] -= mi * fy
-        r[i, 2, k + 2] -= mi * fz
-        r[j, 0, k + 2] += mj * fx
-        r[j, 1, k + 2] += mj * fy
-        r[j, 2, k + 2] += mj * fz
+def _tension(series, block, k):
+    """Coefficient k of the tethers' pull, and coefficient k + 1 of their squared lengths."""
+    e, q, d, g, p, tether = series.e, series.q, series.d, series.g, series.p, series.tether
+    one, row = block * q.shape[1] * WIDTH, block * ROWS * WIDTH
+    x0, y0, z0 = load3(e, 3 * one)
+    xn, yn, zn = load3(e, 3 * (one + WIDTH * (k + 1)))
+    square = 2.0 * (x0 * xn + y0 * yn + z0 * zn)
+    rate = inverse = fx = fy = fz = splat(0.0)
+    for b in range(1, k + 1):
+        here, there = one + WIDTH * b, one + WIDTH * (k - b)
+        xb, yb, zb = load3(e, 3 * here)
+        xc, yc, zc = load3(e, 3 * (there + WIDTH))
+        before = load(p, here - WIDTH)
+        square += xb * xc + yb * yc + zb * zc
+        fx += before * xc
+        fy += before * yc
+        fz += before * zc
+        rate += load(q, here) * load(d, there)
+        inverse += load(d, here - WIDTH) * load(g, there)
+    store(q, one + WIDTH * (k + 1), square)
+    dk = ((k + 1.0) * square - rate) / load(q, one)
+    store(d, one + WIDTH * k, dk)
+    stiffness, rest = load(tether, row + STIFFNESS), load(tether, row + REST)
+    if k == 0:
+        length = sqrt(load(q, one))
+        store(g, one, 1.0 / length)
+        pk = stiffness * (length - rest) / length
+    else:
+        gk = (-0.5 / k) * inverse
+        store(g, one + WIDTH * k, gk)
+        pk = 0.0 - stiffness * rest * gk
+    pk = only_where(load(tether, row + TAUT), pk + load(tether, row + DAMPING) * dk)
+    store(p, one + WIDTH * k, pk)
+    store3(tether, row + PULL, fx + pk * x0, fy + pk * y0, fz + pk * z0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def longest_step(series_r, tolerance, speed):
     """Step [s] whose last two terms are within the tolerance, relative to a speed [m/s]."""
-    order = series_r.shape[2] - 1
+    order = series_r.shape[1] - 1
     last = before = 0.0
-    for i in range(series_r.shape[0]):
+    for block in range(series_r.shape[0]):
         for c in range(3):
-            last = max(last, abs(series_r[i, c, order]))
-            before = max(before, abs(series_r[i, c, order - 1]))
-    return _longest(tolerance * speed, last, before, order)
+            for at in range(WIDTH):
+                last = max(last, abs(series_r[block, order, c, at]))
+                before = max(before, abs(series_r[block, order - 1, c, at]))
+    return longest(tolerance * speed, last, before, order)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _longest(allowed, last, before, order):
+@kernel
+def longest(allowed, last, before, order):
     """Step whose last two terms of velocity are `allowed` [m/s], given the positions' largest.
 
     Those of position are then smaller still, in units of the formation, for steps below a turn.
@@ -182,211 +231,23 @@ def _longest(allowed, last, before, order):
     return min(step, _reach(allowed, before * (order - 1), order - 2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _reach(allowed, coefficient, power):
     return (allowed / coefficient) ** (1.0 / power) if coefficient > 0.0 else np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def evaluate(series_r, time, v, r):
     """Write velocity and position (n,3) at a time [s] since the start of the step."""
-    order = series_r.shape[2] - 1
-    for i in range(r.shape[0]):
-        for c in range(3):
-            x = series_r[i, c]
-            place, rate = x[order], order * x[order]
-            for k in range(order - 1, 0, -1):
-                place = place * time + x[k]
-                rate = rate * time + k * x[k]
-            r[i, c] = place * time + x[0]
-            v[i, c] = rate
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def expand_variations(plant, taut, series, step, x_v, x_r, out):
-    """Fill `out` with the variations that start at x_v, x_r along the motion of `series`.
-
-    Parameters
-    ----------
-    plant, taut : Plant, ndarray
-    series : Series
-        As `expand` leaves it.
-    step : float
-        [s] longest time the result is used for: terms that do not matter by then are left out.
-    x_v, x_r : ndarray, shape (n, 3, k)
-        In the orbit frame.
-    out : ndarray, shape (N+1, n, 3, k)
-        Coefficients of the variations of position.
-    """
-    order, beads, columns = out.shape[0] - 1, out.shape[1], out.shape[3]
-    tethers = plant.rest.size
-    coriolis = 2.0 * plant.rate
-    out[0] = x_r
-    out[1] = x_v
-    terms = np.empty(beads, dtype=np.int64)
-    gradient = np.empty((beads, order + 1, 3, 3))
-    for i in range(beads):
-        terms[i] = _gravity_gradient(
-            plant, series.r[i], series.u[i], series.f[i], step, gradient[i]
-        )
-    # Along every tether: difference e of the variations, logarithmic variation eta of the squared
-    # length and variation of tension over length.
-    e = np.empty((tethers, order + 1, 3, columns))
-    q = np.empty((tethers, order + 1, columns))
-    eta = np.empty((tethers, order + 1, columns))
-    pull = np.empty((tethers, order + 1, columns))
-    force = np.empty((3, columns))
-    for a in range(tethers):
-        if taut[a]:
-            for k in range(2):
-                _along(series, plant, a, k, out, e[a], q[a], eta[a])
-    for k in range(order - 1):
-        for i in range(beads):
-            new = out[k + 2, i]
-            for b in range(columns):
-                new[0, b] = coriolis * (k + 1) * out[k + 1, i, 1, b]
-                new[1, b] = -coriolis * (k + 1) * out[k + 1, i, 0, b]
-                new[2, b] = 0.0
-            for term in range(min(k + 1, terms[i])):
-                d, x = gradient[i, term], out[k - term, i]
-                d00, d01, d02 = d[0, 0], d[0, 1], d[0, 2]
-                d11, d12, d22 = d[1, 1], d[1, 2], d[2, 2]
-                for b in range(columns):
-                    new[0, b] += d00 * x[0, b] + d01 * x[1, b] + d02 * x[2, b]
-                    new[1, b] += d01 * x[0, b] + d11 * x[1, b] + d12 * x[2, b]
-                    new[2, b] += d02 * x[0, b] + d12 * x[1, b] + d22 * x[2, b]
-        for a in range(tethers):
-            if not taut[a]:
-                continue
-            if k > 0:
-                _along(series, plant, a, k + 1, out, e[a], q[a], eta[a])
-            i, j = plant.ends[a, 0], plant.ends[a, 1]
-            elastic = 0.5 * plant.stiffness[a] * plant.rest[a]
-            damped = 0.5 * plant.damping[a] * (k + 1)
-            now, later = pull[a, k], eta[a, k + 1]
-            for b in range(columns):
-                now[b] = damped * later[b]
-            for term in range(k + 1):
-                weight, old = elastic * series.g[a, term], eta[a, k - term]
-                for b in range(columns):
-                    now[b] += weight * old[b]
-            force[:] = 0.0
-            for c in range(3):
-                total = force[c]
-                for term in range(k + 1):
-                    p, s = series.p[a, term], series.e[a, c, term]
-                    x, y = e[a, k - term, c], pull[a, k - term]
-                    for b in range(columns):
-                        total[b] += p * x[b] + s * y[b]
-            mi, mj = plant.inv_mass[i], plant.inv_mass[j]
-            one, other = out[k + 2, i], out[k + 2, j]
-            for c in range(3):
-                for b in range(columns):
-                    one[c, b] -= mi * force[c, b]
-                    other[c, b] += mj * force[c, b]
-        weight = 1.0 / ((k + 1) * (k + 2))
-        flat = out[k + 2].reshape(-1)
-        for b in range(flat.size):
-            flat[b] *= weight
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _along(series, plant, a, k, out, e, q, eta):
-    """Coefficient k of one tether's differences, of q's variation and of its ratio to q."""
-    i, j = plant.ends[a, 0], plant.ends[a, 1]
-    columns = out.shape[3]
-    new, x, y = e[k], out[k, i], out[k, j]
-    for c in range(3):
-        for b in range(columns):
-            new[c, b] = x[c, b] - y[c, b]
-    now, ratio = q[k], eta[k]
-    now[:] = 0.0
-    for term in range(k + 1):
-        s0, s1 = 2.0 * series.e[a, 0, term], 2.0 * series.e[a, 1, term]
-        s2, old = 2.0 * series.e[a, 2, term], e[k - term]
-        for b in range(columns):
-            now[b] += s0 * old[0, b] + s1 * old[1, b] + s2 * old[2, b]
-    ratio[:] = now
-    for term in range(1, k + 1):
-        weight, old_ratio = series.q[a, term], eta[k - term]
-        for b in range(columns):
-            ratio[b] -= weight * old_ratio[b]
-    weight = 1.0 / series.q[a, 0]
-    for b in range(columns):
-        ratio[b] *= weight
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _gravity_gradient(plant, r, u, f, step, out):
-    """Coefficients of the gravity gradient at one bead, (terms, 3, 3), and how many there are."""
-    rate2 = plant.rate * plant.rate
-    out[0] = 0.0
-    if plant.linear_gravity:
-        out[0, 1, 1], out[0, 2, 2] = 3.0 * rate2, -rate2
-        return 1
-    order = r.shape[1] - 1
-    w = np.empty(order)
-    along = np.empty((3, order))
-    reach, small = 1.0, 0
-    for k in range(order - 1):
-        if k == 0:
-            w[0] = 3.0 * rate2 * (1.0 - f[0]) / (1.0 + u[0])
-        else:
-            total = 0.0
-            for b in range(1, k + 1):
-                total -= (k + 1.5 * b) * u[b] * w[k - b]
-            w[k] = total / (k * (1.0 + u[0]))
-        size = 0.0
-        for p in range(3):
-            along[p, k] = w[k] if p == 1 else 0.0
-            for b in range(k + 1):
-                along[p, k] += w[b] * r[p, k - b] / plant.radius
-        for p in range(3):
-            for c in range(p, 3):
-                total = along[p, k] if c == 1 else 0.0
-                for b in range(k + 1):
-                    total += along[p, b] * r[c, k - b] / plant.radius
-                if p == c:
-                    total += rate2 * f[k]
-                    if p == 2 and k == 0:
-                        total -= rate2
-                out[k, p, c] = total
-                out[k, c, p] = total
-                size = max(size, abs(total))
-        if size * reach * step * step < 1e-17:
-            small += 1
-            if small == 2:
-                return k - 1
-        else:
-            small = 0
-        reach *= step
-    return order - 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def longest_step_of_variations(out, tolerance, speed):
-    """The same as `longest_step` for variations (N+1, n, 3, k), scaled like the state."""
-    order = out.shape[0] - 1
-    last = before = 0.0
-    for x in out[order].reshape(-1):
-        last = max(last, abs(x))
-    for x in out[order - 1].reshape(-1):
-        before = max(before, abs(x))
-    return _longest(tolerance * speed, last, before, order)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def evaluate_variations(out, time, x_v, x_r):
-    """Write the variations of velocity and position at a time [s] since the start of the step."""
-    order = out.shape[0] - 1
-    place, rate = x_r.reshape(-1), x_v.reshape(-1)
-    place[:] = 0.0
-    rate[:] = 0.0
-    for k in range(order, 0, -1):
-        x = out[k].reshape(-1)
-        for b in range(place.size):
-            place[b] = place[b] * time + x[b]
-            rate[b] = rate[b] * time + k * x[b]
-    x = out[0].reshape(-1)
-    for b in range(place.size):
-        place[b] = place[b] * time + x[b]
+    size = series_r.shape[1]
+    for block in range(series_r.shape[0]):
+        first = 3 * WIDTH * size * block
+        x = y = z = vx = vy = vz = splat(0.0)
+        for k in range(size - 1, -1, -1):
+            ax, ay, az = load3(series_r, first + 3 * WIDTH * k)
+            vx, vy, vz = vx * time + x, vy * time + y, vz * time + z
+            x, y, z = x * time + ax, y * time + ay, z * time + az
+        for i in range(WIDTH * block, min(WIDTH * (block + 1), r.shape[0])):
+            at = i % WIDTH
+            r[i, 0], r[i, 1], r[i, 2] = lane(x, at), lane(y, at), lane(z, at)
+            v[i, 0], v[i, 1], v[i, 2] = lane(vx, at), lane(vy, at), lane(vz, at)
