@@ -12,6 +12,8 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
+from tss_ros.core.lanes import kernel
+
 #: order (n,): bead eliminated at each stage. start (n+1,): range of that bead's later neighbours
 #: in `neighbour`, `lower` and `upper` (their bead and the blocks left below and right of the
 #: pivot). target: for every pair of them the block their product is subtracted from, from
@@ -74,7 +76,7 @@ def analyse(beads, ends):
     return Symbolic(*as_array, np.array(pair, dtype=np.int64), row, column, len(index))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _invert3(a):
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
@@ -91,7 +93,7 @@ def _invert3(a):
     a[2, 0], a[2, 1], a[2, 2] = c02 * d, c12 * d, c22 * d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def factor(symbolic, matrix):
     """Factor in place: diagonal blocks become their inverses, lower blocks the multipliers.
 
@@ -121,7 +123,7 @@ def factor(symbolic, matrix):
                         out[row, col] -= a * up[0, col] + b * up[1, col] + c * up[2, col]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve(symbolic, factored, b):
     """Solve for one right-hand side in place.
 
@@ -156,7 +158,7 @@ def solve(symbolic, factored, b):
             y[row] = inverse[row, 0] * y0 + inverse[row, 1] * y1 + inverse[row, 2] * y2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve_columns(symbolic, factored, b):
     """Solve for many right-hand sides in place.
 
@@ -243,7 +245,7 @@ def solve_wide(symbolic, factored, b):
         y[:] = product
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _subtract(y, x):
     """y -= x; plain loops compile several times faster than array differences."""
     for i in range(y.shape[0]):

@@ -13,7 +13,8 @@ import math
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from tss_ros.core.lanes import kernel
 
 #: The system as the kernels see it. ends (m,2); inv_mass (n,) [1/kg]; rest (m,) [m]; stiffness (m,)
 #: EA/L [N/m]; damping (m,) [N s/m]; rate Omega and spin omega [rad/s]; radius R [m].
@@ -38,7 +39,7 @@ def plant(system, spin_rate_rad_s):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def acceleration(plant, taut, time, v, r, a):
     """Accelerations of all beads, Eq. (1), in the turning frame.
 
@@ -97,7 +98,7 @@ def acceleration(plant, taut, time, v, r, a):
             a[j, 2] += pj * ez
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
     """Derivatives of `acceleration` by position and velocity, the blocks A and B of Eq. (52).
 
@@ -139,17 +140,13 @@ def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
             d[1, 2] = d[2, 1] = steep * qy * qz
         by_v[i, 0, 1] = coriolis
         by_v[i, 1, 0] = -coriolis
-    e = np.empty(3)
-    w = np.empty(3)
     for k in range(plant.ends.shape[0]):
         if taut[k]:
             i, j = plant.ends[k, 0], plant.ends[k, 1]
-            length2 = closing = 0.0
-            for c in range(3):
-                e[c] = r[i, c] - r[j, c]
-                w[c] = v[i, c] - v[j, c]
-                length2 += e[c] * e[c]
-                closing += e[c] * w[c]
+            e = (r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2])
+            w = (v[i, 0] - v[j, 0], v[i, 1] - v[j, 1], v[i, 2] - v[j, 2])
+            length2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+            closing = e[0] * w[0] + e[1] * w[1] + e[2] * w[2]
             length = math.sqrt(length2)
             damping = plant.damping[k]
             across = (
@@ -175,7 +172,7 @@ def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
                     by_v[ji, p, q] += mj * kv
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def stretch(plant, v, r, excess, growth):
     """Length beyond the rest length and its rate for every tether, g = l - L and l' of Eq. (6).
 

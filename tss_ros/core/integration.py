@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from tss_ros.core import taylor, taylor_variations
+from tss_ros.core import radau, taylor, taylor_variations
 from tss_ros.core.forces import stretch
 from tss_ros.core.lanes import WIDTH, kernel
 from tss_ros.core.steps import (
@@ -39,7 +39,7 @@ from tss_ros.core.switching import toggle
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 #: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
 #: more beads than this are always cheaper to carry implicitly.
-COST, COST_VARIED, FEW_BEADS = 3.0, 1.0, 8
+COST, COST_VARIED, FEW_BEADS = 8.0, 2.0, 8
 #: Share of the longest step an explicit method can bear at the fastest rate, `Control.bound` over
 #: it, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
@@ -138,6 +138,7 @@ def advance(
     work = Work(
         np.empty((symbolic.blocks, 3, 3)),
         np.empty((tables.value.size, symbolic.blocks, 3, 3), dtype=np.complex128),
+        radau.blank(s, n, tables.value.size),
         np.empty((symbolic.row.size, 3, 3)),
         np.empty((symbolic.row.size, 3, 3)),
         np.zeros((s, n, 3)),

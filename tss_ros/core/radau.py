@@ -12,6 +12,7 @@ from numba import njit
 
 from tss_ros.core.blocklu import factor, solve, solve_columns
 from tss_ros.core.forces import acceleration
+from tss_ros.core.lanes import kernel
 
 #: tolerance: largest estimated local error per implicit step, scaled. accuracy: how far Newton
 #: iterations converge, scaled. length [m], speed [m/s]: the scales. longest [s]: largest step.
@@ -22,14 +23,31 @@ Control = namedtuple(
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+#: Room for Newton's iteration: velocity and position at a stage, residuals of all, and corrections
+#: as real and complex numbers.
+Room = namedtuple("Room", "v r residual change twist")
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def blank(stages, beads, pairs):
+    """A `Room`."""
+    return Room(
+        np.empty((beads, 3)),
+        np.empty((beads, 3)),
+        np.empty((stages, beads, 3)),
+        np.empty((beads, 3)),
+        np.empty((pairs, beads, 3), dtype=np.complex128),
+    )
+
+
+@kernel
 def add(y, weight, x):
     """y += weight x on flat views; plain loops compile several times faster than array sums."""
     for i in range(y.size):
         y[i] += weight * x[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def multiply(symbolic, blocks, x, y):
     """y += blocks @ x for x, y of shape (n, 3, k)."""
     for e in range(symbolic.row.size):
@@ -40,7 +58,7 @@ def multiply(symbolic, blocks, x, y):
                 ye[p, c] += b0 * xe[0, c] + b1 * xe[1, c] + b2 * xe[2, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def newton_matrices(symbolic, tables, h, by_r, by_v, real, cplx):
     """Assemble and factor lambda^2 I - lambda B - A for every eigenvalue lambda of the method."""
     n, entries = symbolic.order.size, symbolic.row.size
@@ -67,7 +85,7 @@ def newton_matrices(symbolic, tables, h, by_r, by_v, real, cplx):
         factor(symbolic, cplx[w])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def _climb(tables, h, v0, z, rise):
     """Increments of position at every stage, from r' = v."""
     for j in range(tables.stages):
@@ -79,18 +97,14 @@ def _climb(tables, h, v0, z, rise):
                 rise[j, i, q] = h * total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def solve_stages(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, real, cplx):
+@kernel
+def solve_stages(plant, symbolic, tables, control, taut, t, h, v0, r0, z, rise, real, cplx, room):
     """Solve the stage equations by simplified Newton iteration from the guess in `z`.
 
     Returns the number of iterations, negative if they did not converge.
     """
     s, n, pairs = tables.stages, r0.shape[0], tables.value.size
-    v = np.empty((n, 3))
-    r = np.empty((n, 3))
-    residual = np.empty((s, n, 3))
-    change = np.empty((n, 3))
-    twist = np.empty((pairs, n, 3), dtype=np.complex128)
+    v, r, residual, change, twist = room
     before = np.inf
     for iteration in range(1, 16):
         _climb(tables, h, v0, z, rise)
@@ -167,7 +181,7 @@ def error_estimate(symbolic, tables, control, h, by_r, f0, v0, z, rise, real):
     return filtered_error(symbolic, tables, control, h, by_r, b_v, b_r, real)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def filtered_error(symbolic, tables, control, h, by_r, b_v, b_r, real):
     """The same from the formula's sums of velocities and positions (n,3,k); b_v is overwritten."""
     lam = tables.real_value / h

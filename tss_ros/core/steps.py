@@ -30,10 +30,10 @@ NEXT, LAST, DOUBT, HOLD, BACKOFF = range(5, 10)
 #: x_v, x_r (n,3,k): variations of velocity and position, k may be 0. dissipation (1,): integral of
 #: the trace of the damping matrix over time.
 Motion = namedtuple("Motion", "time count taut v r v0 r0 z rise series x_v x_r dissipation")
-#: Room that steps work in: Newton matrices and Jacobian blocks, stage increments, a trial state,
-#: stretch of the tethers and its rate, and the Taylor series of motion and variations.
+#: Room that steps work in: Newton matrices and `radau.Room`, Jacobian blocks, stage increments, a
+#: trial state, stretch of the tethers and its rate, the Taylor series of motion and variations.
 Work = namedtuple(
-    "Work", "real cplx by_r by_v z rise old trial_v trial_r excess growth series variations"
+    "Work", "real cplx room by_r by_v z rise old trial_v trial_r excess growth series variations"
 )
 #: Step sizes that say why there was no step: try again, switch first, or none possible.
 REJECTED, AT_ONCE, TOO_SMALL = -1.0, -2.0, -3.0
@@ -79,7 +79,7 @@ def turn_variations(spin, time, x_v, x_r, back):
                 x_v[i, 1, b] -= spin * x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def interpolate(tables, increments, fraction, out):
     """Add the collocation polynomial of `increments` (s,n,3), at a fraction of the step, to out."""
     s = tables.stages
@@ -184,7 +184,8 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
     )
     newton_matrices(symbolic, tables, h, work.by_r, work.by_v, work.real, work.cplx)
     iterations = solve_stages(
-        plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.real, work.cplx
+        plant, symbolic, tables, control, motion.taut, t, h, v0, r0, z, rise, work.real,
+        work.cplx, work.room,
     )
     motion.count[2] += abs(iterations)
     if iterations < 0:
@@ -242,6 +243,7 @@ def implicit_step(plant, symbolic, tables, control, motion, work, stop, follows)
                 rise,
                 work.real,
                 work.cplx,
+                work.room,
             )
             motion.count[2] += abs(iterations)
             if iterations < 0:
