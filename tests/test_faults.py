@@ -154,10 +154,13 @@ def test_of_a_cut_file_every_whole_chunk_is_recovered(whole, tmp_path, capsys):
 
 
 def test_what_lies_behind_damage_is_recovered_too(whole, tmp_path):
+    """Holes anywhere, and in the head of a chunk, which then reads like an empty one."""
     content, ends, written = whole
-    for seed in range(10):
-        at = random.Random(seed).randrange(ends[1][0], ends[-2][0])
-        bag = damaged(tmp_path, f"hole_{seed}", content[:at] + bytes(512) + content[at + 512 :])
+    head = ends[2][0] + content[ends[2][0] :].index(b"lz4") - 41
+    heads = range(head, head + 48, 3)
+    places = [random.Random(seed).randrange(ends[1][0], ends[-2][0]) for seed in range(10)]
+    for at in [*places, *heads]:
+        bag = damaged(tmp_path, f"hole_{at}", content[:at] + bytes(512) + content[at + 512 :])
         recover.recover(bag)
         # One chunk is gone, or two that the hole touches both.
         before = max(count for end, count in ends if end <= at)
@@ -166,6 +169,7 @@ def test_what_lies_behind_damage_is_recovered_too(whole, tmp_path):
         assert found[:before] == written[:before] and len(found) > before
         kept_behind = len(written) - after
         assert found[len(found) - kept_behind :] == written[after:]
+        shutil.rmtree(bag)
 
 
 def test_recovery_that_is_stopped_can_be_repeated(whole, tmp_path):

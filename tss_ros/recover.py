@@ -124,9 +124,15 @@ def _whole_file(path, topics):
         for record in reader.iter_metadata():
             notes |= record.metadata if record.name == NOTES else {}
         stream.seek(0)
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                get_chunk_data_stream(record, validate_crc=True)
+        records = StreamReader(stream, emit_chunks=True).records
+        chunks = (record for record in records if isinstance(record, Chunk))
+        indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
+        for chunk, index in zip(chunks, indexes, strict=True):
+            # One whose head is blank reads like an empty chunk without a checksum.
+            told = index.uncompressed_size, index.compression
+            if (chunk.uncompressed_size, chunk.compression) != told:
+                raise ValueError(f"a chunk of {path} is not as the file's index says")
+            get_chunk_data_stream(chunk, validate_crc=True)
     file = BagFile(path.name)
     for channel in summary.channels.values():
         topics[channel.topic] = _topic(channel, summary.schemas[channel.schema_id])
