@@ -152,7 +152,8 @@ def advance(
         taylor_variations.blank(n, plant.rest.size, order, motion.x_r.shape[2]),
     )
     made, most_switches = 0, motion.count[3] + switches
-    follows, both = True, control.kind == BOTH
+    # Not plain True, a type of its own that everything would be compiled for once more.
+    follows, both = motion.count[0] >= 0, control.kind == BOTH
     if both and n > FEW_BEADS and motion.x_r.shape[2] > 0:
         both, motion.count[NEXT] = False, IMPLICIT
     _sample(plant, tables, motion, times, out_v, out_r)
