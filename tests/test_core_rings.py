@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tss_ros.core import (
+    Cancelled,
     TssError,
     averaged_state,
     compute_floquet,
@@ -15,9 +16,11 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
-from tss_ros.core.krylov import arnoldi, closed
-from tss_ros.core.motion import Flow
-from tss_ros.core.periodic import closure, turn
+from tss_ros.core.harmonic_balance import closed
+from tss_ros.core.krylov import arnoldi
+from tss_ros.core.motion import Flow, Propagator
+from tss_ros.core.periodic import closure, corrected, turn
+from tss_ros.core.steady_state import rotating
 
 
 def long_ring(beads, satellites=3, **options):
@@ -124,14 +127,60 @@ def test_leading_multiplier_of_the_axis_tilt_is_the_closed_form():
     assert result.verdict == "unstable"
 
 
-def test_motion_is_closed_without_the_matrix():
-    system = long_ring(12)
-    start = averaged_state(system, -6.0)
-    flow = flow_of(system, -6.0, start)
+@pytest.mark.parametrize(
+    "beads, satellites, ratio", [(12, 3, -6.0), (60, 4, -10.0), (60, 5, -6.0), (150, 3, -10.0)]
+)
+def test_harmonic_balance_closes_a_motion(beads, satellites, ratio):
+    system = long_ring(beads, satellites)
+    start = averaged_state(system, ratio)
+    flow = flow_of(system, ratio, start)
     before, _ = closure(flow, start)
     after, _ = closure(flow, closed(flow, start))
-    assert np.linalg.norm(before) > 1e-2
     assert np.linalg.norm(after) < 1e-4
+    assert np.linalg.norm(before) > 50.0 * np.linalg.norm(after)
+
+
+def test_harmonic_balance_finds_the_motion_that_shooting_does():
+    system = long_ring(12)
+    start = averaged_state(system, -10.0)
+    flow = flow_of(system, -10.0, start)
+    balanced = closed(flow, start)
+    whole, _ = corrected(flow, [start])
+    # The phase of the spin is free.
+    around = rotating(whole.start.position_m, 1.0).ravel()
+    apart = (balanced.position_m - whole.start.position_m).ravel()
+    apart -= apart @ around / (around @ around) * around
+    away = (start.position_m - whole.start.position_m).ravel()
+    assert np.linalg.norm(apart) < 0.02 * np.linalg.norm(away)
+    assert np.linalg.norm(closure(flow, balanced)[0]) < 4.0 * whole.closure_residual
+
+
+def test_what_a_long_ring_leaves_open_is_the_spin_that_damping_takes():
+    """Sum of C l'^2 over a turn, taken from the energy I w^2 / 2 of the spin, as loss of speed."""
+    system = long_ring(102)
+    state = averaged_state(system, -10.0)
+    flow = flow_of(system, -10.0, state)
+    start = closed(flow, state)
+    residual = np.linalg.norm(closure(flow, start)[0])
+    motion = Propagator(system, -10.0, start)
+    r, v = motion.sample(motion.period_s * np.arange(200) / 200)
+    first, second = system.tether_ends.T
+    e, w = r[:, first] - r[:, second], v[:, first] - v[:, second]
+    growth = np.sum(e * w, axis=2) / np.linalg.norm(e, axis=2)
+    loss = np.mean(np.sum(system.damping_n_s_per_m * growth**2, axis=1)) * motion.period_s
+    inertia = system.mass_kg @ np.sum(r[0] ** 2, axis=1)
+    slower = loss / (inertia * flow.plant.spin**2)
+    predicted = slower * np.linalg.norm(r[0]) / flow.control.length
+    assert residual == pytest.approx(predicted, rel=0.2)
+    assert residual < 1e-5
+
+
+def test_harmonic_balance_is_cancelled():
+    system = long_ring(102)
+    state = averaged_state(system, -10.0)
+    looks = iter([False])
+    with pytest.raises(Cancelled, match="balancing 8 harmonics"):
+        closed(flow_of(system, -10.0, state), state, lambda: next(looks, True))
 
 
 def test_nothing_is_called_stable_while_multipliers_are_missing(monkeypatch):
