@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tss_ros.core import forces, krylov
+from tss_ros.core import forces, harmonic_balance, krylov
 from tss_ros.core.certificate import convergence_error, liouville_error, segment_error
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.families import FAMILIES, label
@@ -253,7 +253,7 @@ def _leading(flow, initial, count, correct, cancelled):
     """The result of `krylov`, as far as its multipliers were found."""
     try:
         initial_closure = float(np.linalg.norm(closure(flow, initial, cancelled)[0]))
-        start = krylov.closed(flow, initial, cancelled) if correct else initial
+        start = harmonic_balance.closed(flow, initial, cancelled) if correct else initial
         multiplier, vectors, residual, turns = krylov.leading_multipliers(
             flow, start, count, cancelled
         )

@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from tss_ros.core.harmonic_balance import closed as closed
 from tss_ros.core.linear_flow import carry
 
 #: Displacements carried together, half of them in the orbit plane and half out of it.
