@@ -9,6 +9,8 @@ FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
 #: Scale of ln|rho| within which a multiplier counts as near the unit circle. Overdamped tethers
 #: relax so slowly that their modes turn with the spin as they do.
 NEAR_CIRCLE = 0.01
+#: arm @ TURNS[k] is the velocity of a turn about axis k, the cross product of that axis and arm.
+TURNS = np.cross(np.eye(3)[:, None], np.eye(3)[None, :])
 
 
 def label(system, state, multiplier, vectors):
@@ -35,17 +37,13 @@ def label(system, state, multiplier, vectors):
     weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
     centre = np.average(state.position_m, axis=0, weights=system.mass_kg)
     arm = (state.position_m - centre) / np.max(np.linalg.norm(state.position_m, axis=1))
-    axes = np.eye(3)
-    fields = [
-        [np.tile(axis, (n, 1)) for axis in axes],
-        [np.cross(axes[2], arm)],
-        [np.cross(axes[0], arm), np.cross(axes[1], arm)],
-    ]
+    turns = arm @ TURNS
+    fields = [np.tile(np.eye(3)[:, None], (n, 1)), turns[2:], turns[:2]]
     found, share, room = np.empty((3 * n, 0)), [], []
     halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
     for family in fields:
-        basis = np.stack([(weight * f).ravel() for f in family], axis=1)
+        basis = (weight * family).reshape(-1, 3 * n).T
         basis -= found @ (found.T @ basis)
         left, size, _ = np.linalg.svd(basis, full_matrices=False)
         basis = left[:, size > 1e-6 * math.sqrt(n)]
