@@ -17,12 +17,14 @@ from tss_ros.core import (
     TssError,
     compute_floquet,
     formation,
+    initial_state,
     ring,
     sweep,
 )
 from tss_ros.core.certificate import liouville_error, segment_error
 from tss_ros.core.motion import Flow
 from tss_ros.core.periodic import turn
+from tss_ros.core.steady_state import rotating
 from tss_ros.core.symmetry import cyclic_symmetry
 
 
@@ -95,6 +97,16 @@ def test_symmetry_finds_motions_that_start_far_from_closing():
     """A hexagon swings through its rest shape; the paper's start misses its motion by far."""
     result = compute_floquet(ring(6), -2.9, certify=False)
     assert result.initial_closure_residual > 0.1
+    start = initial_state(ring(6), -2.9)
+    position, velocity = Propagator(ring(6), -2.9, start).sample(np.array([result.period_s]))
+    position, velocity = position[0] - start.position_m, velocity[0] - start.velocity_m_s
+    velocity -= rotating(position, result.spin_rate_rad_s)
+    size = np.max(np.linalg.norm(start.position_m, axis=1))
+    missed_by = np.hypot(
+        np.linalg.norm(position) / size,
+        np.linalg.norm(velocity) / (size * abs(result.spin_rate_rad_s)),
+    )
+    assert abs(result.initial_closure_residual / missed_by - 1.0) < 1e-6
     assert result.closure_residual < 1e-4
     assert result.verdict == "neutral"
 

@@ -58,7 +58,8 @@ class FloquetResult:
         |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
         speed.
     initial_closure_residual : float
-        The same for the start as given, before any correction.
+        The same for the start as given, before any correction; infinite if that turn cannot be
+        integrated.
     trivial_error : float
         Largest distance from the unit circle of the four simple centre-of-mass multipliers
         exp(+-i Omega T), which theory puts on it. NaN for "frozen".
@@ -129,8 +130,8 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Start; if not given `initial_state`, and `averaged_state` where that leads to no motion
-        that closes.
+        Start; if not given `initial_state`, and where that leads to no motion that closes also
+        `averaged_state`, unless both go slack and it closes no better.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -178,12 +179,13 @@ def compute_floquet(
     try:
         if correct:
             starts = _starts(system, spin_rate_ratio, start, given)
-            latest, start = corrected(flow, starts, cancelled)
+            latest, start, missed_by = corrected(flow, starts, cancelled)
         else:
             latest = turn(flow, start, cancelled)
+            missed_by = latest.closure_residual
     except IntegrationError as error:
         return _nothing(method, system, spin, start, str(error))
-    return _judge(flow, latest, start, correct, certify, cancelled)
+    return _judge(flow, latest, start, missed_by, correct, certify, cancelled)
 
 
 def _starts(system, spin_rate_ratio, first, given):
@@ -207,8 +209,7 @@ def _nothing(method, system, spin, state, reason):
     )
 
 
-def _judge(flow, latest, initial, correct, certify, cancelled):
-    initial_closure = float(np.linalg.norm(closure(flow, initial, cancelled)[0]))
+def _judge(flow, latest, initial, initial_closure, correct, certify, cancelled):
     multiplier, vectors = np.linalg.eig(latest.matrix)
     family = label(flow.system, latest.start, multiplier, vectors)
     on_circle = np.abs(np.abs(multiplier) - 1.0)

@@ -80,7 +80,7 @@ def from_scaled(flow, x):
     return State(r, v + spin * np.stack([-r[:, 1], r[:, 0], np.zeros(len(r))], axis=1))
 
 
-def turn(flow, state, cancelled=None, segments=1, symmetry=None):
+def turn(flow, state, cancelled=None, segments=1):
     """Integrate one turn with all variations, Eqs. (12)-(16).
 
     Parameters
@@ -92,9 +92,6 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
         Asked now and then; a true answer stops the work.
     segments : int
         Cut the turn into equal parts, each with variations of its own, and multiply.
-    symmetry : Symmetry, optional
-        Integrate 1/order of a turn only, and rotate and rename its end so that a symmetric motion
-        closes.
 
     Returns
     -------
@@ -107,20 +104,27 @@ def turn(flow, state, cancelled=None, segments=1, symmetry=None):
     Cancelled
         If `cancelled` said so.
     """
-    half = 3 * flow.system.n
-    scale = np.repeat([flow.control.speed, flow.control.length], half)
-    motion, matrix = flow.begin(state), np.eye(2 * half)
-    period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
+    size = 6 * flow.system.n
+    motion, matrix = flow.begin(state), np.eye(size)
     for segment in range(segments):
-        stop = period * (segment + 1) / segments
-        motion, part = carry(flow, motion, np.eye(2 * half), stop, cancelled)
+        stop = _period(flow) * (segment + 1) / segments
+        motion, part = carry(flow, motion, np.eye(size), stop, cancelled)
         matrix = part @ matrix
-    x = np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
-    if symmetry:
-        x, matrix = (symmetry.back(flow.plant.spin < 0.0, part) for part in (x, matrix))
+    x = _scaled_end(flow, motion)
     return Turn(
         state, from_scaled(flow, x), matrix, x - to_scaled(flow, state), int(motion.count[3]),
         int(motion.count[0]), float(motion.dissipation[0]), flow,
+    )
+
+
+def _period(flow, symmetry=None):
+    """[s] one turn, or the part of it after which a symmetric motion closes."""
+    return 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
+
+
+def _scaled_end(flow, motion):
+    return np.concatenate(
+        [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
     )
 
 
@@ -129,8 +133,11 @@ def closure(flow, state, cancelled=None, symmetry=None):
 
     Parameters
     ----------
-    flow, state, cancelled, symmetry
+    flow, state, cancelled
         As for `turn`.
+    symmetry : Symmetry, optional
+        Integrate 1/order of a turn only, and rotate and rename its end so that a symmetric motion
+        closes.
 
     Returns
     -------
@@ -142,13 +149,10 @@ def closure(flow, state, cancelled=None, symmetry=None):
     IntegrationError, Cancelled
         As `turn`.
     """
-    motion = flow.begin(state)
-    period = 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
+    motion, period = flow.begin(state), _period(flow, symmetry)
     while not flow.advance(motion, period, steps=500):
         look(motion, period, cancelled)
-    x = np.concatenate(
-        [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
-    )
+    x = _scaled_end(flow, motion)
     if symmetry:
         x = symmetry.back(flow.plant.spin < 0.0, x)
     return x - to_scaled(flow, state), int(motion.count[3])
@@ -176,6 +180,8 @@ def corrected(flow, starts, cancelled=None):
         That of least residual; its residual says whether it is periodic.
     start : State
         The one that led to it.
+    missed_by : float
+        Closure residual of that start, infinite if its own turn cannot be integrated.
 
     Raises
     ------
@@ -185,9 +191,9 @@ def corrected(flow, starts, cancelled=None):
         If `cancelled` said so.
     """
     shots, failure = [], None
-    for start, symmetry in _attempts(flow, starts, cancelled):
+    for start, missed_by, symmetry in _attempts(flow, starts, cancelled):
         try:
-            shots.append((_shoot(flow, start, cancelled, symmetry), start))
+            shots.append((_shoot(flow, start, cancelled, symmetry), start, missed_by))
         except IntegrationError as error:
             failure = failure or error
             continue
@@ -195,19 +201,37 @@ def corrected(flow, starts, cancelled=None):
             break
     if not shots:
         raise failure
-    shot, start = min(shots, key=lambda pair: pair[0].residual)
-    whole = None if shot.symmetry else shot.turn
-    return whole or turn(flow, shot.state, cancelled), start
+    shot, start, missed_by = min(shots, key=lambda attempt: attempt[0].residual)
+    return turn(flow, shot.state, cancelled), start, missed_by
 
 
 def _attempts(flow, starts, cancelled):
-    """Starts with the symmetry to use, and then those near closing once more without."""
+    """Starts with the symmetry to use, and then those near closing once more without.
+
+    Where tethers go slack from both, a start that closes no better than the first is left out: at
+    some two thousand rates of different rings none of these led to a motion that closes.
+    """
     symmetry, tried = cyclic_symmetry(flow.system), []
+    part = symmetry if symmetry.order > 1 else None
     for start in starts:
-        yield start, symmetry if symmetry.order > 1 else None
-        tried.append(start)
-    if symmetry.order > 1:
-        yield from ((start, None) for start in tried if _near(flow, start, cancelled))
+        if tried:
+            first, slack = _missed_by(flow, tried[0][0], cancelled, part)
+            other, also_slack = _missed_by(flow, start, cancelled, part)
+            if slack and also_slack and other >= first:
+                continue
+        tried.append((start, _missed_by(flow, start, cancelled)[0]))
+        yield *tried[-1], part
+    if part:
+        yield from ((*attempt, None) for attempt in tried if attempt[1] <= NEAR)
+
+
+def _missed_by(flow, start, cancelled, symmetry=None):
+    """Closure residual of a start, infinite if it cannot be integrated, and its switches."""
+    try:
+        residual, switches = closure(flow, start, cancelled, symmetry)
+    except IntegrationError:
+        return math.inf, 0
+    return float(np.linalg.norm(residual)), switches
 
 
 def _shoot(flow, state, cancelled, symmetry):
@@ -217,16 +241,10 @@ def _shoot(flow, state, cancelled, symmetry):
         state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
     shot = _Shot(flow, state, cancelled, symmetry).improve()
     if symmetry and shot.residual <= CLOSED:
-        shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot).improve()
+        shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot)
+        if shot.residual <= NEAR:
+            shot.improve()
     return shot
-
-
-def _near(flow, state, cancelled):
-    """Whether it is worth while to shoot for the whole turn from here."""
-    try:
-        return np.linalg.norm(closure(flow, state, cancelled)[0]) <= NEAR
-    except IntegrationError:
-        return False
 
 
 def _with_enough_damping(system):
@@ -242,27 +260,49 @@ def _with_enough_damping(system):
 
 
 class _Shot:
-    """A start that is improved by Newton's method, with matrices used for as long as they serve."""
+    """A start that is improved by Newton's method, with matrices used for as long as they serve.
+
+    A motion in the orbit plane stays there, so that only its variations in the plane are needed.
+    """
 
     def __init__(self, flow, state, cancelled, symmetry, whole_of=None):
         self.flow, self.state, self.cancelled, self.symmetry = flow, state, cancelled, symmetry
-        self.turn = None
+        x = to_scaled(flow, state)
+        self.free = np.arange(x.size)
+        if not x[2::3].any():
+            self.free = np.delete(self.free, np.s_[2::3])
         if whole_of is None:
             self._renew()
         else:
             parts = whole_of.symmetry.order
-            self.matrix = np.linalg.matrix_power(whole_of.matrix, parts)
-            self.matrix_switches = parts * whole_of.matrix_switches
             self.closure, self.switches = closure(flow, state, cancelled)
+            self._use(
+                np.linalg.matrix_power(whole_of.matrix, parts), parts * whole_of.matrix_switches
+            )
+            self.fresh = False
 
     @property
     def residual(self):
         return float(np.linalg.norm(self.closure))
 
     def _renew(self):
-        self.turn = turn(self.flow, self.state, self.cancelled, symmetry=self.symmetry)
-        self.matrix, self.closure = self.turn.matrix, self.turn.closure
-        self.switches = self.matrix_switches = self.turn.switches
+        """Find closure and matrix of the present start."""
+        begin = self.flow.begin(self.state)
+        x, varied = to_scaled(self.flow, self.state), np.eye(6 * self.flow.system.n)[:, self.free]
+        stop = _period(self.flow, self.symmetry)
+        motion, varied = carry(self.flow, begin, varied, stop, self.cancelled)
+        end = _scaled_end(self.flow, motion)
+        if self.symmetry:
+            end, varied = (
+                self.symmetry.back(self.flow.plant.spin < 0.0, part) for part in (end, varied)
+            )
+        self.closure, self.switches = end - x, int(motion.count[3])
+        self._use(varied[self.free], self.switches)
+        self.fresh = True
+
+    def _use(self, matrix, switches):
+        self.matrix, self.matrix_switches = matrix, switches
+        self.decomposed = np.linalg.svd(matrix - np.eye(self.free.size))
 
     def improve(self):
         """Correct the start as far as it goes; returns itself."""
@@ -275,17 +315,18 @@ class _Shot:
                     break
                 gain = self._try(change)
                 if gain > STILL_SERVES:
-                    if gain > WORTH_IT and self.turn:
+                    if gain > WORTH_IT and self.fresh:
                         break
                     self._renew()
         return self
 
     def _correction(self):
         """Change of the scaled start, and the share of the residual that it is meant to remove."""
-        u, s, vt = np.linalg.svd(self.matrix - np.eye(self.closure.size))
+        u, s, vt = self.decomposed
         bound = s > FREE_DIRECTION
-        aim = u[:, bound].T @ self.closure
-        change = -(vt[bound].T @ (aim / s[bound]))
+        aim = u[:, bound].T @ self.closure[self.free]
+        change = np.zeros(self.closure.size)
+        change[self.free] = -(vt[bound].T @ (aim / s[bound]))
         share = np.linalg.norm(aim) / max(self.residual, 1e-300)
         return change * min(1.0, 0.2 / max(np.max(np.abs(change)), 1e-300)), share
 
@@ -298,5 +339,5 @@ class _Shot:
             return math.inf
         gain = np.linalg.norm(after) / self.residual
         if gain <= (WORTH_IT if switches >= self.switches else 1.0):
-            self.state, self.closure, self.switches, self.turn = state, after, switches, None
+            self.state, self.closure, self.switches, self.fresh = state, after, switches, False
         return gain
