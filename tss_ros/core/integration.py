@@ -39,7 +39,7 @@ from tss_ros.core.switching import toggle
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 #: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
 #: more beads than this are always cheaper to carry implicitly.
-COST, COST_VARIED, FEW_BEADS = 8.0, 2.0, 8
+COST, COST_VARIED, FEW_BEADS = 8.0, 4.0, 8
 #: Share of the longest step an explicit method can bear at the fastest rate, `Control.bound` over
 #: it, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75

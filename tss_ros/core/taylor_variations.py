@@ -5,30 +5,28 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from tss_ros.core.lanes import WIDTH, kernel
+from tss_ros.core.lanes import WIDTH, kernel, lane, load, load3, splat, store, store3
 from tss_ros.core.taylor import longest
 
-#: Taylor coefficients of k variations. x (N+1,n,3,k): of position. gradient (n,N+1,3,3) and terms
-#: (n,): the gravity gradient at each bead and how many of its coefficients matter. Along every
-#: tether, e (m,N+1,3,k): difference of the variations, q, eta (m,N+1,k): variation of the squared
-#: length and of its logarithm, pull (m,N+1,k): of tension over length. force (3,k), room (4,N+1).
-Varied = namedtuple("Varied", "x gradient terms e q eta pull force room")
+#: Taylor coefficients of k variations, which lie in blocks of W = `WIDTH` lanes. x (k/W,N+1,n,3,W):
+#: of position. gradient (n,N+1,3,3) and terms (n,): the gravity gradient at each bead and how many
+#: of its coefficients matter. For one block at a time along every tether, e (m,N+1,3,W): difference
+#: of the variations, eta, pull (m,N+1,W): variation of the logarithm of the squared length and of
+#: tension over length. room (4,N+1).
+Varied = namedtuple("Varied", "x gradient terms e eta pull room")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def blank(beads, tethers, order, columns):
     """Room for a `Varied`; next to none where there are no columns."""
     size = order + 1 if columns > 0 else 0
-    along = (tethers, size, columns)
     return Varied(
-        np.empty((size, beads, 3, columns)),
+        np.zeros((-(-columns // WIDTH), size, beads, 3, WIDTH)),
         np.empty((beads, size, 3, 3)),
         np.empty(beads, dtype=np.int64),
-        np.empty((tethers, size, 3, columns)),
-        np.empty(along),
-        np.empty(along),
-        np.empty(along),
-        np.empty((3, columns)),
+        np.empty((tethers, size, 3, WIDTH)),
+        np.empty((tethers, size, WIDTH)),
+        np.empty((tethers, size, WIDTH)),
         np.empty((4, size)),
     )
 
@@ -48,95 +46,109 @@ def expand_variations(plant, taut, series, step, x_v, x_r, varied):
         In the orbit frame.
     varied : Varied
     """
-    out, gradient, terms, e, q, eta, pull, force, room = varied
-    order, beads, columns = out.shape[0] - 1, out.shape[1], out.shape[3]
-    tethers, coriolis = plant.rest.size, 2.0 * plant.rate
+    x, gradient, terms, room = varied.x, varied.gradient, varied.terms, varied.room
+    size, beads = x.shape[1], x.shape[2]
     for i in range(beads):
-        for c in range(3):
-            for b in range(columns):
-                out[0, i, c, b], out[1, i, c, b] = x_r[i, c, b], x_v[i, c, b]
         terms[i] = _gravity_gradient(plant, series, i, step, gradient[i], room)
-    for a in range(tethers):
-        if taut[a]:
-            for k in range(2):
-                _along(series, plant, a, k, out, e[a], q[a], eta[a])
-    for k in range(order - 1):
-        for i in range(beads):
-            new = out[k + 2, i]
-            for b in range(columns):
-                new[0, b] = coriolis * (k + 1) * out[k + 1, i, 1, b]
-                new[1, b] = -coriolis * (k + 1) * out[k + 1, i, 0, b]
-                new[2, b] = 0.0
-            for term in range(min(k + 1, terms[i])):
-                d, x = gradient[i, term], out[k - term, i]
-                d00, d01, d02 = d[0, 0], d[0, 1], d[0, 2]
-                d11, d12, d22 = d[1, 1], d[1, 2], d[2, 2]
-                for b in range(columns):
-                    new[0, b] += d00 * x[0, b] + d01 * x[1, b] + d02 * x[2, b]
-                    new[1, b] += d01 * x[0, b] + d11 * x[1, b] + d12 * x[2, b]
-                    new[2, b] += d02 * x[0, b] + d12 * x[1, b] + d22 * x[2, b]
-        for a in range(tethers):
-            if not taut[a]:
-                continue
-            if k > 0:
-                _along(series, plant, a, k + 1, out, e[a], q[a], eta[a])
-            i, j = plant.ends[a, 0], plant.ends[a, 1]
-            block, lane = a // WIDTH, a % WIDTH
-            elastic = 0.5 * plant.stiffness[a] * plant.rest[a]
-            damped = 0.5 * plant.damping[a] * (k + 1)
-            now, later = pull[a, k], eta[a, k + 1]
-            for b in range(columns):
-                now[b] = damped * later[b]
-            for term in range(k + 1):
-                weight, old = elastic * series.g[block, term, lane], eta[a, k - term]
-                for b in range(columns):
-                    now[b] += weight * old[b]
-            force[:] = 0.0
-            for c in range(3):
-                total = force[c]
-                for term in range(k + 1):
-                    p, s = series.p[block, term, lane], series.e[block, term, c, lane]
-                    x, y = e[a, k - term, c], pull[a, k - term]
-                    for b in range(columns):
-                        total[b] += p * x[b] + s * y[b]
-            mi, mj = plant.inv_mass[i], plant.inv_mass[j]
-            one, other = out[k + 2, i], out[k + 2, j]
-            for c in range(3):
-                for b in range(columns):
-                    one[c, b] -= mi * force[c, b]
-                    other[c, b] += mj * force[c, b]
-        weight = 1.0 / ((k + 1) * (k + 2))
-        flat = out[k + 2].reshape(-1)
-        for b in range(flat.size):
-            flat[b] *= weight
+        for c in range(3):
+            for b in range(x_r.shape[2]):
+                x[b // WIDTH, 0, i, c, b % WIDTH] = x_r[i, c, b]
+                x[b // WIDTH, 1, i, c, b % WIDTH] = x_v[i, c, b]
+    for block in range(x.shape[0]):
+        first = 3 * WIDTH * beads * size * block
+        for a in range(plant.rest.size):
+            if taut[a]:
+                _begin_tether(plant, series, varied, first, a)
+        for k in range(size - 2):
+            for i in range(beads):
+                _gravity(plant, varied, first, i, k)
+            for a in range(plant.rest.size):
+                if taut[a]:
+                    _tension(plant, series, varied, first, a, k)
 
 
 @kernel
-def _along(series, plant, a, k, out, e, q, eta):
-    """Coefficient k of one tether's differences, of q's variation and of its ratio to q."""
+def _gravity(plant, varied, first, bead, k):
+    """Write what gravity and Coriolis acceleration do to coefficient k + 2 of one bead."""
+    x, gradient = varied.x, varied.gradient
+    row = 3 * WIDTH * x.shape[2]  # from one coefficient to the next
+    now = first + row * k + 3 * WIDTH * bead
+    coriolis, weight = 2.0 * plant.rate * (k + 1), 1.0 / ((k + 1) * (k + 2))
+    vx, vy, _ = load3(x, now + row)
+    ax, ay, az = coriolis * vy, -coriolis * vx, splat(0.0)
+    for term in range(min(k + 1, varied.terms[bead])):
+        px, py, pz = load3(x, now - row * term)
+        d = gradient[bead, term]
+        xx, xy, xz, yy, yz, zz = d[0, 0], d[0, 1], d[0, 2], d[1, 1], d[1, 2], d[2, 2]
+        ax += xx * px + xy * py + xz * pz
+        ay += xy * px + yy * py + yz * pz
+        az += xz * px + yz * py + zz * pz
+    store3(x, now + 2 * row, weight * ax, weight * ay, weight * az)
+
+
+@kernel
+def _begin_tether(plant, series, varied, first, a):
+    """Coefficients 0 of one tether's differences and logarithmic variation."""
     i, j = plant.ends[a, 0], plant.ends[a, 1]
-    block, lane, columns = a // WIDTH, a % WIDTH, out.shape[3]
-    new, x, y = e[k], out[k, i], out[k, j]
-    for c in range(3):
-        for b in range(columns):
-            new[c, b] = x[c, b] - y[c, b]
-    now, ratio = q[k], eta[k]
-    now[:] = 0.0
+    size, block, at = varied.x.shape[1], a // WIDTH, a % WIDTH
+    xi, yi, zi = load3(varied.x, first + 3 * WIDTH * i)
+    xj, yj, zj = load3(varied.x, first + 3 * WIDTH * j)
+    ex, ey, ez = xi - xj, yi - yj, zi - zj
+    store3(varied.e, 3 * WIDTH * size * a, ex, ey, ez)
+    along = (
+        series.e[block, 0, 0, at] * ex
+        + series.e[block, 0, 1, at] * ey
+        + series.e[block, 0, 2, at] * ez
+    )
+    store(varied.eta, WIDTH * size * a, (2.0 / series.q[block, 0, at]) * along)
+
+
+@kernel
+def _tension(plant, series, varied, first, a, k):
+    """Add what one tether does to coefficient k + 2 of the beads at its ends."""
+    x, e, eta, pull = varied.x, varied.e, varied.eta, varied.pull
+    i, j = plant.ends[a, 0], plant.ends[a, 1]
+    block, at, row = a // WIDTH, a % WIDTH, 3 * WIDTH * x.shape[2]
+    one, two = first + row * (k + 1) + 3 * WIDTH * i, first + row * (k + 1) + 3 * WIDTH * j
+    now = WIDTH * (x.shape[1] * a + k)
+    xi, yi, zi = load3(x, one)
+    xj, yj, zj = load3(x, two)
+    ex, ey, ez = xi - xj, yi - yj, zi - zj
+    store3(e, 3 * (now + WIDTH), ex, ey, ez)
+    s0x, s0y, s0z = series.e[block, 0, 0, at], series.e[block, 0, 1, at], series.e[block, 0, 2, at]
+    along = s0x * ex + s0y * ey + s0z * ez
+    ratio = elastic = fx = fy = fz = splat(0.0)
+    sx = sy = sz = 0.0  # the pull that goes with s0 is not known yet
     for term in range(k + 1):
-        s0 = 2.0 * series.e[block, term, 0, lane]
-        s1 = 2.0 * series.e[block, term, 1, lane]
-        s2, old = 2.0 * series.e[block, term, 2, lane], e[k - term]
-        for b in range(columns):
-            now[b] += s0 * old[0, b] + s1 * old[1, b] + s2 * old[2, b]
-    for b in range(columns):
-        ratio[b] = now[b]
-    for term in range(1, k + 1):
-        weight, old_ratio = series.q[block, term, lane], eta[k - term]
-        for b in range(columns):
-            ratio[b] -= weight * old_ratio[b]
-    weight = 1.0 / series.q[block, 0, lane]
-    for b in range(columns):
-        ratio[b] *= weight
+        before = now - WIDTH * term
+        ex, ey, ez = load3(e, 3 * before)
+        share, p = load(eta, before), series.p[block, term, at]
+        if term > 0:
+            strength = load(pull, before)
+            fx += sx * strength
+            fy += sy * strength
+            fz += sz * strength
+        fx += p * ex
+        fy += p * ey
+        fz += p * ez
+        sx = series.e[block, term + 1, 0, at]
+        sy = series.e[block, term + 1, 1, at]
+        sz = series.e[block, term + 1, 2, at]
+        along += sx * ex + sy * ey + sz * ez
+        ratio += series.q[block, term + 1, at] * share
+        elastic += series.g[block, term, at] * share
+    share = (1.0 / series.q[block, 0, at]) * (2.0 * along - ratio)
+    store(eta, now + WIDTH, share)
+    strength = (0.5 * plant.damping[a] * (k + 1)) * share
+    strength += (0.5 * plant.stiffness[a] * plant.rest[a]) * elastic
+    store(pull, now, strength)
+    fx, fy, fz = fx + s0x * strength, fy + s0y * strength, fz + s0z * strength
+    weight = 1.0 / ((k + 1) * (k + 2))
+    mi, mj = weight * plant.inv_mass[i], weight * plant.inv_mass[j]
+    xi, yi, zi = load3(x, one + row)
+    store3(x, one + row, xi - mi * fx, yi - mi * fy, zi - mi * fz)
+    xj, yj, zj = load3(x, two + row)
+    store3(x, two + row, xj + mj * fx, yj + mj * fy, zj + mj * fz)
 
 
 @kernel
@@ -188,29 +200,33 @@ def _gravity_gradient(plant, series, bead, step, out, room):
 
 
 @kernel
-def longest_step_of_variations(out, tolerance, speed):
-    """The same as `longest_step` for variations (N+1, n, 3, k), scaled like the state."""
-    order = out.shape[0] - 1
+def longest_step_of_variations(x, tolerance, speed):
+    """The same as `longest_step` for variations (k/W,N+1,n,3,W), scaled like the state."""
+    order, beads = x.shape[1] - 1, x.shape[2]
     last = before = 0.0
-    for x in out[order].reshape(-1):
-        last = max(last, abs(x))
-    for x in out[order - 1].reshape(-1):
-        before = max(before, abs(x))
+    for block in range(x.shape[0]):
+        for i in range(beads):
+            for c in range(3):
+                for at in range(WIDTH):
+                    last = max(last, abs(x[block, order, i, c, at]))
+                    before = max(before, abs(x[block, order - 1, i, c, at]))
     return longest(tolerance * speed, last, before, order)
 
 
 @kernel
-def evaluate_variations(out, time, x_v, x_r):
+def evaluate_variations(x, time, x_v, x_r):
     """Write the variations of velocity and position at a time [s] since the start of the step."""
-    order = out.shape[0] - 1
-    place, rate = x_r.reshape(-1), x_v.reshape(-1)
-    place[:] = 0.0
-    rate[:] = 0.0
-    for k in range(order, 0, -1):
-        x = out[k].reshape(-1)
-        for b in range(place.size):
-            place[b] = place[b] * time + x[b]
-            rate[b] = rate[b] * time + k * x[b]
-    x = out[0].reshape(-1)
-    for b in range(place.size):
-        place[b] = place[b] * time + x[b]
+    size, beads = x.shape[1], x.shape[2]
+    for block in range(x.shape[0]):
+        columns = min(WIDTH, x_r.shape[2] - WIDTH * block)
+        for i in range(beads):
+            for c in range(3):
+                place = rate = splat(0.0)
+                for k in range(size - 1, -1, -1):
+                    rate = rate * time + place
+                    place = place * time + load(
+                        x, WIDTH * (((block * size + k) * beads + i) * 3 + c)
+                    )
+                for at in range(columns):
+                    x_r[i, c, WIDTH * block + at] = lane(place, at)
+                    x_v[i, c, WIDTH * block + at] = lane(rate, at)
