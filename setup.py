@@ -41,6 +41,7 @@ setup(
         "numpy>=2.0",
         "scipy>=1.13",
         "numba>=0.60",
+        "llvmlite>=0.43",
         "PyYAML>=6.0",
         "mcap>=1.6",
         "mcap-ros2-support>=0.6",

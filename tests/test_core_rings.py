@@ -145,7 +145,7 @@ def test_harmonic_balance_finds_the_motion_that_shooting_does():
     start = averaged_state(system, -10.0)
     flow = flow_of(system, -10.0, start)
     balanced = closed(flow, start)
-    whole, _ = corrected(flow, [start])
+    whole = corrected(flow, [start])[0]
     # The phase of the spin is free.
     around = rotating(whole.start.position_m, 1.0).ravel()
     apart = (balanced.position_m - whole.start.position_m).ravel()
