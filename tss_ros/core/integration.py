@@ -37,9 +37,9 @@ from tss_ros.core.steps import (
 from tss_ros.core.switching import toggle
 
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
-#: Explicit steps that one implicit step costs, of the motion alone and with variations; those of
-#: more beads than this are always cheaper to carry implicitly.
-COST, COST_VARIED, FEW_BEADS = 8.0, 4.0, 8
+#: Explicit steps that one implicit step costs, and each of its Newton iterations, of the motion
+#: alone and with variations; those of more beads than this are always carried implicitly.
+COST, COST_VARIED, FEW_BEADS = (3.0, 1.7), (3.5, 0.2), 8
 #: Share of the longest step an explicit method can bear at the fastest rate, `Control.bound` over
 #: it, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
@@ -148,12 +148,13 @@ def advance(
         np.empty((n, 3)),
         np.empty(plant.rest.size),
         np.empty(plant.rest.size),
-        taylor.blank(n, plant.rest.size, order),
+        taylor.blank(plant, order),
         taylor_variations.blank(n, plant.rest.size, order, motion.x_r.shape[2]),
     )
-    made, most_switches = 0, motion.count[3] + switches
+    made, most_switches, iterations = 0, motion.count[3] + switches, motion.count[2]
     # Not plain True, a type of its own that everything would be compiled for once more.
     follows, both = motion.count[0] >= 0, control.kind == BOTH
+    cost = COST_VARIED if motion.x_r.shape[2] > 0 else COST
     if both and n > FEW_BEADS and motion.x_r.shape[2] > 0:
         both, motion.count[NEXT] = False, IMPLICIT
     _sample(plant, tables, motion, times, out_v, out_r)
@@ -198,7 +199,9 @@ def advance(
         motion.time[0] = stop if t + h >= stop or which < 0 and t + 1.01 * h >= stop else t + h
         motion.count[LAST] = kind
         if both:
-            _choose(plant, control, motion, work, natural)
+            price = cost[0] + cost[1] * (motion.count[2] - iterations)
+            _choose(plant, control, motion, work, natural, price)
+            iterations = motion.count[2]
         if which >= 0:
             toggle(plant, motion, which, 1e-12 * plant.rest[which], work.excess, work.growth)
             motion.time[4] = ANY_STEP
@@ -222,8 +225,11 @@ def _start_anew(motion):
 
 
 @kernel
-def _choose(plant, control, motion, work, natural):
-    """Choose the kind of the next step; `natural` is the size the last one could have had."""
+def _choose(plant, control, motion, work, natural, price):
+    """Choose the kind of the next step.
+
+    `natural` is the size that the last one could have had, `price` what it cost if implicit.
+    """
     count = motion.count
     rate, bound = _fastest_rate(plant, motion.taut, work.trial_v), control.bound
     if count[NEXT] == EXPLICIT:
@@ -231,13 +237,12 @@ def _choose(plant, control, motion, work, natural):
         count[DOUBT] = count[DOUBT] + 1 if natural * rate > BOUNDED * bound else 0
         if count[DOUBT] >= 2 and count[HOLD] == 0:
             count[NEXT], count[DOUBT] = IMPLICIT, 0
-            motion.time[1], motion.time[4] = 3.0 * natural, ANY_STEP
+            motion.time[1], motion.time[4] = 6.0 * natural, ANY_STEP
     else:
-        cost = COST_VARIED if motion.x_r.shape[2] > 0 else COST
-        count[DOUBT] = count[DOUBT] + 1 if motion.time[1] * rate < cost * bound else 0
+        count[DOUBT] = count[DOUBT] + 1 if motion.time[3] * rate < price * bound else 0
         if count[DOUBT] >= 3:
             count[NEXT], count[DOUBT] = EXPLICIT, 0
-            count[BACKOFF] = min(1024, max(16, 2 * count[BACKOFF]))
+            count[BACKOFF] = min(1024, max(64, 2 * count[BACKOFF]))
             count[HOLD] = count[BACKOFF]
 
 

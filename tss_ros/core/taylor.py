@@ -31,8 +31,12 @@ from tss_ros.core.switching import DEEPEST
 #: taut also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f (n/W,N+1,W):
 #: gravity's distance variable and factor as in `forces.acceleration`. tether (m/W,7,W): 1 where
 #: taut, stiffness, half the damping, rest length, and room for three components. margin (5,W),
-#: bernstein (N+1,W), pieces: room for `switching`.
-Series = namedtuple("Series", "r e q d g p u f tether margin bernstein pieces")
+#: bernstein (N+1,W), pieces: room for `switching`. ends, pulls: which bead lies at which end of a
+#: block's tethers, and which tether pulls at a block's beads.
+Series = namedtuple("Series", "r e q d g p u f tether margin bernstein pieces ends pulls")
+#: For every block of lanes what acts on it: entries start[block] to stop[block] name a bead or a
+#: tether (index) and what each lane takes of it (weight).
+Links = namedtuple("Links", "start stop index weight")
 #: Rows of `Series.tether`, times WIDTH.
 TAUT, STIFFNESS, DAMPING, REST, PULL = 0, WIDTH, 2 * WIDTH, 3 * WIDTH, 4 * WIDTH
 ROWS = 7
@@ -44,15 +48,50 @@ def order_for(rtol):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blank(beads, tethers, order):
+def blank(plant, order):
     """Room for a `Series`, with idle lanes at rest."""
-    n, m, size = -(-beads // WIDTH), -(-tethers // WIDTH), order + 1
+    beads, tethers, size = plant.inv_mass.size, plant.rest.size, order + 1
+    n, m = -(-beads // WIDTH), -(-tethers // WIDTH)
+    ends, pulls = _no_links(m, tethers), _no_links(n, tethers)
+    for a in range(tethers):
+        ends.stop[a // WIDTH + 1] += 2
+        for side in range(2):
+            pulls.stop[plant.ends[a, side] // WIDTH + 1] += 1
+    for links in (ends, pulls):
+        for block in range(links.start.size):
+            links.stop[block + 1] += links.stop[block]
+            links.start[block] = links.stop[block]
+    for a in range(tethers):
+        for side in range(2):
+            i, sign = plant.ends[a, side], 1.0 - 2.0 * side
+            _link(ends, a, i, sign)
+            _link(pulls, i, a, -sign * plant.inv_mass[i])
     return Series(
         np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)), np.ones((m, size, WIDTH)),
         np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)),
         np.zeros((n, size, WIDTH)), np.zeros((n, size, WIDTH)), np.zeros((m, ROWS, WIDTH)),
         np.zeros((5, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
+        ends, pulls,
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _no_links(blocks, tethers):
+    start, stop = np.zeros(blocks, dtype=np.int64), np.zeros(blocks + 1, dtype=np.int64)
+    return Links(start, stop, np.zeros(2 * tethers, np.int64), np.zeros((2 * tethers, WIDTH)))
+
+
+@kernel
+def _link(links, to, index, weight):
+    """Let a bead or tether take so much of a tether or bead."""
+    block = to // WIDTH
+    entry = links.start[block]
+    while entry < links.stop[block] and links.index[entry] != index:
+        entry += 1
+    if entry == links.stop[block]:
+        links.stop[block] += 1
+        links.index[entry] = index
+    links.weight[entry, to % WIDTH] += weight
 
 
 @kernel
@@ -81,23 +120,17 @@ def expand(plant, taut, v, r, series):
         weight = 1.0 / ((k + 1) * (k + 2))
         for block in range(series.r.shape[0]):
             _gravity(plant, series, block, k, weight)
-        _differences(plant, series, k + 1)
         for block in range(series.e.shape[0]):
+            _difference(series, block, k + 1)
             if any_taut:
                 _tension(series, block, k)
             else:
                 _square(series, block, k + 1)
         if any_taut:
-            for a in range(tethers):
-                if taut[a]:
-                    i, j = plant.ends[a, 0], plant.ends[a, 1]
-                    mi, mj = weight * plant.inv_mass[i], weight * plant.inv_mass[j]
-                    for c in range(3):
-                        pull = series.tether[a // WIDTH, 4 + c, a % WIDTH]
-                        series.r[i // WIDTH, k + 2, c, i % WIDTH] -= mi * pull
-                        series.r[j // WIDTH, k + 2, c, j % WIDTH] += mj * pull
-    _differences(plant, series, order)
+            for block in range(series.r.shape[0]):
+                _pull(series, block, k + 2, weight)
     for block in range(series.e.shape[0]):
+        _difference(series, block, order)
         _square(series, block, order)
 
 
@@ -124,7 +157,7 @@ def _gravity(plant, series, block, k, weight):
         gx, gy, gz = f0 * x0, f0 * (y0 + plant.radius), f0 * z0
     else:
         square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
-        total, share = splat(0.0), float(k)
+        total, share, inverse = splat(0.0), float(k), 1.0 / (1.0 + load(u, one))
         for b in range(1, k):
             here, there = one + WIDTH * b, one + WIDTH * (k - b)
             xb, yb, zb = load3(r, three + 3 * WIDTH * b)
@@ -137,7 +170,7 @@ def _gravity(plant, series, block, k, weight):
             share += 0.5
             total += share * load(u, here) * load(f, there)
         f0, uk = load(f, one), (2.0 * yk + square * curvature) * curvature
-        fk = (1.5 * uk * (1.0 - f0) - total * (1.0 / k)) / (1.0 + load(u, one))
+        fk = (1.5 * uk * (1.0 - f0) - total * (1.0 / k)) * inverse
         store(u, one + WIDTH * k, uk)
         store(f, one + WIDTH * k, fk)
         gx += f0 * xk + fk * x0
@@ -148,15 +181,31 @@ def _gravity(plant, series, block, k, weight):
     store3(r, now + 6 * WIDTH, ax, ay, az)
 
 
-@njit(inline="always", error_model="numpy")
-def _differences(plant, series, k):
+@njit(inline="always", error_model="numpy", fastmath={"contract"})
+def _difference(series, block, k):
     """Coefficient k of the vectors along tethers."""
-    for a in range(plant.rest.size):
-        i, j = plant.ends[a, 0], plant.ends[a, 1]
-        for c in range(3):
-            series.e[a // WIDTH, k, c, a % WIDTH] = (
-                series.r[i // WIDTH, k, c, i % WIDTH] - series.r[j // WIDTH, k, c, j % WIDTH]
-            )
+    r, ends = series.r, series.ends
+    x = y = z = splat(0.0)
+    for entry in range(ends.start[block], ends.stop[block]):
+        i, sign = ends.index[entry], load(ends.weight, WIDTH * entry)
+        x += sign * r[i // WIDTH, k, 0, i % WIDTH]
+        y += sign * r[i // WIDTH, k, 1, i % WIDTH]
+        z += sign * r[i // WIDTH, k, 2, i % WIDTH]
+    store3(series.e, 3 * WIDTH * (block * series.e.shape[1] + k), x, y, z)
+
+
+@njit(inline="always", error_model="numpy", fastmath={"contract"})
+def _pull(series, block, k, share):
+    """Add what tethers do to coefficient k of the positions."""
+    tether, pulls = series.tether, series.pulls
+    now = 3 * WIDTH * (block * series.r.shape[1] + k)
+    x, y, z = load3(series.r, now)
+    for entry in range(pulls.start[block], pulls.stop[block]):
+        a, weight = pulls.index[entry], share * load(pulls.weight, WIDTH * entry)
+        x += weight * tether[a // WIDTH, 4, a % WIDTH]
+        y += weight * tether[a // WIDTH, 5, a % WIDTH]
+        z += weight * tether[a // WIDTH, 6, a % WIDTH]
+    store3(series.r, now, x, y, z)
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})
@@ -180,6 +229,7 @@ def _tension(series, block, k):
     xn, yn, zn = load3(e, 3 * (one + WIDTH * (k + 1)))
     square = 2.0 * (x0 * xn + y0 * yn + z0 * zn)
     rate = inverse = fx = fy = fz = splat(0.0)
+    shorter = 1.0 / load(q, one)
     for b in range(1, k + 1):
         here, there = one + WIDTH * b, one + WIDTH * (k - b)
         xb, yb, zb = load3(e, 3 * here)
@@ -192,7 +242,7 @@ def _tension(series, block, k):
         rate += load(q, here) * load(d, there)
         inverse += load(d, here - WIDTH) * load(g, there)
     store(q, one + WIDTH * (k + 1), square)
-    dk = ((k + 1.0) * square - rate) / load(q, one)
+    dk = ((k + 1.0) * square - rate) * shorter
     store(d, one + WIDTH * k, dk)
     stiffness, rest = load(tether, row + STIFFNESS), load(tether, row + REST)
     if k == 0:
