@@ -59,8 +59,8 @@ def messages():
             "bead_states": make.bead_states(i, ns, *place),
         }
         steps.append({name: bytes(serialize_message(part)) for name, part in parts.items()})
-    simulation = {"disturbance_m": 10.0, "disturbance_seed": 1, "publish_period_s": 1.0}
-    described = system_description(system, "three_star", RATE, radius_m, simulation)
+    options = {"scenario": "three_star", "disturbance_m": 10.0, "disturbance_seed": 1}
+    described = system_description(system, RATE, radius_m, {**options, "publish_period_s": 1.0})
     return bytes(serialize_message(described)), steps
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import sys
 import threading
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -14,6 +15,9 @@ from tss_ros.core.system import System
 
 #: Jobs under way and ready for every worker, so that none has to wait for the next.
 AHEAD = 2
+#: How long [s] a thread that comes out of a kernel may wait for another one's Python; as much as
+#: kernels take, not the 5 ms that are usual.
+SWITCH_INTERVAL_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,8 @@ def sweep(jobs, workers=None, cancelled=None):
 
     pool = ThreadPoolExecutor(workers, thread_name_prefix="sweep")
     coming, index_of = enumerate(jobs), {}
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(min(usual, SWITCH_INTERVAL_S))
     try:
         while True:
             for index, job in itertools.islice(coming, AHEAD * workers - len(index_of)):
@@ -128,3 +134,4 @@ def sweep(jobs, workers=None, cancelled=None):
     finally:
         closing.set()
         pool.shutdown(cancel_futures=True)
+        sys.setswitchinterval(usual)
