@@ -131,12 +131,6 @@ def smaller(_, x, y):
 
 
 @intrinsic
-def larger(_, x, y):
-    """The larger one of each two."""
-    return _by_llvm("maxnum", 2)
-
-
-@intrinsic
 def only_where(_, mask, x):
     """x where the mask is above 0, and 0 elsewhere, whatever x is there."""
 
