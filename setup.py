@@ -4,12 +4,22 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-EXECUTABLES = (
-    *("sim_node", "stability_node", "logger_node", "stability", "sweep", "demo", "reproduce"),
-    *("review", "recover", "play"),
-)
-#: All three in tss_ros.bag_commands.
-BAG_COMMANDS = ("summary", "plot", "export")
+#: Executables of `ros2 run`, and the functions behind them.
+EXECUTABLES = {
+    "sim_node": "simulator.sim_node:main",
+    "stability_node": "stability_service.stability_node:main",
+    "logger_node": "recorder.logger_node:main",
+    "stability": "stability_service.client:main",
+    "sweep": "sweeps.command:main",
+    "demo": "runs.demo:main",
+    "reproduce": "reproduction.reproduce:main",
+    "review": "review.review:main",
+    "recover": "bags.recover:main",
+    "play": "recorder.play:main",
+    "summary": "bags.commands:summary",
+    "plot": "bags.commands:plot",
+    "export": "bags.commands:export",
+}
 
 setup(
     name="tss_ros",
@@ -31,10 +41,7 @@ setup(
     ],
     zip_safe=False,
     entry_points={
-        "console_scripts": [
-            *(f"{name} = tss_ros.{name}:main" for name in EXECUTABLES),
-            *(f"{name} = tss_ros.bag_commands:{name}" for name in BAG_COMMANDS),
-        ]
+        "console_scripts": [f"{name} = tss_ros.{place}" for name, place in EXECUTABLES.items()]
     },
     # rclpy and the message packages come with ROS 2 and are declared in package.xml.
     install_requires=[

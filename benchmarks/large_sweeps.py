@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from tss_ros import cluster
 from tss_ros.core import sweep
-from tss_ros.sweep import compute
-from tss_ros.sweep_jobs import Question
-from tss_ros.sweep_store import Store
+from tss_ros.sweeps import cluster
+from tss_ros.sweeps.command import compute
+from tss_ros.sweeps.jobs import Question
+from tss_ros.sweeps.store import Store
 
 #: Taut formations spin fast; slower than their critical rate tethers go slack.
 FAST, SLOW = (-6.0, -3.3), (-2.0, -0.5)

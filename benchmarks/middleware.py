@@ -20,7 +20,7 @@ from tss_interfaces.srv import SetSimulationState
 
 from benchmarks.problems import cut
 from tss_ros.core import Propagator, initial_state, ring
-from tss_ros.processes import Nodes
+from tss_ros.runs.processes import Nodes
 
 RATE = -2.9
 #: Beads in all, and simulated turns.

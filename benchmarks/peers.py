@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from tss_ros.core import blocklu, forces
+from tss_ros.core.model import forces
+from tss_ros.core.numerics import block_lu
 
 #: A switch that is located must leave its tether this near to its rest length, relative.
 ON_EDGE = 1e-7
@@ -37,7 +38,7 @@ class Compiled:
         plant = forces.plant(problem.system, spin)
         n, size = problem.n, 3 * problem.n
         acceleration, stretch, jacobian = forces.acceleration, forces.stretch, forces.jacobian
-        symbolic = blocklu.analyse(n, problem.system.tether_ends)
+        symbolic = block_lu.analyse(n, problem.system.tether_ends)
         blocks = n + 2 * problem.system.m
         row, column, pair = symbolic.row[:blocks], symbolic.column[:blocks], symbolic.pair
         inner = np.arange(3)

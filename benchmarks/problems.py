@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from tss_ros.core import State, forces, initial_state, ring
+from tss_ros.core import State, initial_state, ring
+from tss_ros.core.model import forces
 
 MOTION_ERROR, MODULUS_ERROR = 1e-8, 1e-6
 

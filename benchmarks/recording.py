@@ -26,12 +26,12 @@ from ament_index_python.packages import get_package_prefix
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 
-from tss_ros import review
-from tss_ros.bag_writer import CHUNK_BYTES, BagWriter
+from tss_ros.bags.recording import read_bag
+from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
-from tss_ros.recording import read_bag
-from tss_ros.topics import read_topics
-from tss_ros.translate import StepMessages, system_description
+from tss_ros.review import review
+from tss_ros.ros.messages import StepMessages, system_description
+from tss_ros.ros.topics import read_topics
 
 RATE, POOL, FLUSH_PERIOD_S = -2.5, 1000, 0.25
 STATES = ("tether_states", "bead_states")

@@ -3,8 +3,8 @@
 from collections import namedtuple
 
 from benchmarks import array_peers, heyoka_peer, peers, variations
-from tss_ros.core.motion import Flow
-from tss_ros.core.periodic import turn
+from tss_ros.core.motion.propagator import Flow
+from tss_ros.core.stability.shooting import turn
 
 #: make(problem, tolerance, **options) gives a function that runs the case; events: whether it
 #: locates slack/taut switches; loosest, tightest: exponents of the tolerances tried.

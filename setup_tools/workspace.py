@@ -229,8 +229,8 @@ def warm_cache(ros):
     # numba looks at the file of a function only, not at those of the functions compiled into it
     for path in core.rglob("*.nb[ci]"):
         path.unlink()
-    if (core / "warm.py").is_file():
-        warm = [VENV / "bin" / "python", "-m", "tss_ros.core.warm"]
+    if (core / "compile_cache.py").is_file():
+        warm = [VENV / "bin" / "python", "-m", "tss_ros.core.compile_cache"]
         run("compiling the numerical core", "warm.log", [warm], environment(ros))
 
 

@@ -1,0 +1,145 @@
+"""The figures show the numbers given, with units, and tell curves apart without colour."""
+
+import io
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from tss_ros import plots
+from tss_ros.core.stability import floquet
+from tss_ros.plots.style import VERDICT_STYLES
+
+NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
+IS_SATELLITE = np.array([True, True, True, False])
+ENDS = np.array([[0, 3], [3, 1], [1, 2], [2, 0]])
+
+
+def spinning_positions(steps=50):
+    """Three satellites on a circle of 6 km, clockwise, a bead between two, 2 m off the plane."""
+    angle = np.pi / 2 + 2 * np.pi / 3 * np.arange(3) - np.linspace(0, 4, steps)[:, None]
+    position_m = np.zeros((steps, 4, 3))
+    position_m[:, :3, 0], position_m[:, :3, 1] = 6e3 * np.cos(angle), 6e3 * np.sin(angle)
+    position_m[:, 3] = (position_m[:, 0] + position_m[:, 1]) / 2
+    position_m[..., 2] = 2.0
+    return position_m
+
+
+def lines(axes):
+    """The data of the lines on an axes by label."""
+    return {line.get_label(): np.array(line.get_data()).T for line in axes.lines}
+
+
+def legend_box_clear_of_axes(figure):
+    """Whether the legend covers no axes (drawn first, so that the layout is final)."""
+    FigureCanvasAgg(figure).draw()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    return not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
+
+
+def test_trajectories_show_paths_and_tethers_in_the_orbit_frame():
+    position_m = spinning_positions()
+    figure = plots.trajectories(position_m, ENDS, NAMES, IS_SATELLITE)
+    plan, edge = figure.axes
+    assert "x" in plan.get_xlabel() and "[km]" in plan.get_xlabel()
+    assert "y" in plan.get_ylabel() and "[km]" in plan.get_ylabel()
+    assert "z" in edge.get_xlabel() and "[m]" in edge.get_xlabel()
+    assert plan.get_aspect() == 1
+    for i, name in enumerate(NAMES[:3]):
+        np.testing.assert_allclose(lines(plan)[name], position_m[:, i, :2] / 1e3)
+        np.testing.assert_allclose(lines(edge)[name][:, 0], 2.0)
+    bead = position_m[:, 3, :2] / 1e3
+    assert any(np.array_equal(np.array(line.get_data()).T, bead) for line in plan.lines)
+    for label, step in (("start", 0), ("end", -1)):
+        (drawn,) = [xy for name, xy in lines(plan).items() if name.startswith(f"tethers, {label}")]
+        pairs = drawn.reshape(len(ENDS), 3, 2)
+        np.testing.assert_allclose(pairs[:, :2], position_m[step][ENDS][..., :2] / 1e3)
+        assert np.isnan(pairs[:, 2]).all()
+    assert legend_box_clear_of_axes(figure)
+
+
+def test_satellites_differ_in_more_than_colour():
+    figure = plots.trajectories(spinning_positions(), ENDS, NAMES, IS_SATELLITE)
+    named = [line for line in figure.axes[0].lines if line.get_label() in NAMES[:3]]
+    # The dashes themselves, because get_linestyle() calls every dashed line "--".
+    assert len({(line._unscaled_dash_pattern[1] or ()) for line in named}) == 3
+    assert len({line.get_marker() for line in named}) == 3
+
+
+def test_deviation_is_in_per_cent_against_turns_and_from_both_centres():
+    turns = np.linspace(0, 8, 100)
+    origin = 0.02 * np.sin(turns[:, None] + np.arange(3))
+    centre = origin / 50
+    figure = plots.deviation(turns, origin, NAMES[:3], centre)
+    assert len(figure.axes) == 2
+    for axes, values, where in zip(
+        figure.axes, (origin, centre), ("origin", "centre of mass"), strict=True
+    ):
+        assert where in axes.get_ylabel() and "[%]" in axes.get_ylabel()
+        for i, name in enumerate(NAMES[:3]):
+            expected = np.column_stack([turns, 100 * values[:, i]])
+            np.testing.assert_allclose(lines(axes)[name], expected)
+    assert "turns" in figure.axes[-1].get_xlabel()
+    assert legend_box_clear_of_axes(figure)
+
+
+def test_deviation_from_the_origin_alone_has_one_panel():
+    assert len(plots.deviation([0, 1], np.zeros((2, 1)), ["a"]).axes) == 1
+
+
+def test_every_verdict_has_a_marker_of_its_own():
+    markers = [VERDICT_STYLES[verdict]["marker"] for verdict in floquet.VERDICTS]
+    assert len(set(markers)) == len(markers) == len(VERDICT_STYLES)
+
+
+VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "no periodic motion"]
+RATES, MODULI = [-2.5, -1.5, -3.0, -2.0, -1.0], [1.001, 7.9, 1.0, np.nan, 40.0]
+
+
+def test_stability_marks_each_rate_by_its_verdict():
+    nontrivial = [1.0, 7.9, 0.98, np.nan, 40.0]
+    figure = plots.stability(RATES, MODULI, nontrivial, VERDICTS)
+    (axes,) = figure.axes
+    drawn = lines(axes)
+    for verdict in VERDICTS:
+        if verdict:
+            i = VERDICTS.index(verdict)
+            np.testing.assert_allclose(drawn[verdict], [[RATES[i], MODULI[i]]])
+    markers = [line.get_marker() for line in axes.lines if line.get_label() in VERDICTS]
+    assert len(set(markers)) == len(markers) == 4
+    np.testing.assert_array_equal(drawn["unit modulus"][:, 1], 1)
+    np.testing.assert_array_equal(drawn["all multipliers"][:, 0], sorted(RATES))
+    order = np.argsort(RATES)
+    np.testing.assert_array_equal(
+        drawn["without centre of mass and spin"][:, 1], np.array(nontrivial)[order]
+    )
+    assert axes.get_yscale() == "log"
+    assert "ω/Ω" in axes.get_xlabel() and "monodromy" in axes.get_ylabel()
+    assert legend_box_clear_of_axes(figure)
+
+
+def test_stability_of_like_moduli_is_drawn_on_a_plain_scale():
+    figure = plots.stability([-3, -2], [1.000001, 1.000002], [1, 1], ["neutral"] * 2, "frozen")
+    assert figure.axes[0].get_yscale() == "linear"
+    FigureCanvasAgg(figure).draw()
+    # An offset such as "+1" above the axis is easily overlooked.
+    assert figure.axes[0].yaxis.get_major_formatter().get_offset() == ""
+    assert "frozen" in figure.axes[0].get_ylabel()
+
+
+def test_stability_survives_rates_that_all_failed():
+    figure = plots.stability([-2.0], [np.nan], [np.nan], [""])
+    figure.savefig(io.BytesIO())
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+def test_figures_need_neither_screen_nor_pyplot(suffix):
+    program = (
+        "import io, sys; from tss_ros import plots\n"
+        f"plots.deviation([0, 1], [[0.0], [0.1]], ['a']).savefig(io.BytesIO(), format={suffix!r})\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,125 @@
+"""Files for launch, viewers and parameters, and frames: they fit the nodes."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_harness
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from ros_harness import time_ns
+
+from tss_ros import scenarios
+from tss_ros.core import ring
+from tss_ros.ros import messages, parameters
+from tss_ros.ros.topics import read_topics
+from tss_ros.scenarios.scenario import shipped
+
+SHARE = Path(get_package_share_directory("tss_ros"))
+SCENARIOS = ("three_star", "three_star_50kg", "three_star_1000kg", "six_bead")
+
+
+def test_every_scenario_has_a_parameter_file():
+    assert {path.stem for path in (SHARE / "config").glob("*.yaml")} == set(shipped())
+
+
+def test_parameter_files_start_every_node(start, client):
+    processes, simulators = [], {}
+    for scenario in SCENARIOS:
+        file = str(SHARE / "config" / f"{scenario}.yaml")
+        given = ("-r", f"__ns:=/{scenario}", "--params-file", file)
+        processes.append(start("sim_node", *given, start_paused=True, publish_clock=False))
+        simulators[scenario] = ros_harness.Simulator(*client, namespace=f"/{scenario}")
+    processes.append(start("stability_node", "--params-file", file))
+    processes.append(start("logger_node", "--params-file", file, output="bag"))
+    for scenario, simulator in simulators.items():
+        simulator.spin_until(lambda s=simulator: s.descriptions, ros_harness.START_S, scenario)
+        (message,) = simulator.descriptions
+        assert (message.scenario, message.disturbance_m) == (scenario, 10.0)
+        assert message.spin_rate_ratio == spin_rate_ratio(scenario)
+    processes[-2].wait_for_line("requests about six_bead")
+    processes[-1].wait_for_line("recording")
+    for process in processes:
+        assert process.stop() == 0, process.stderr
+
+
+def spin_rate_ratio(name):
+    """Spin rate in the shipped scenario file, read as plain YAML."""
+    text = (Path(scenarios.__file__).with_name(f"{name}.yaml")).read_text()
+    return yaml.safe_load(text)["spin_rate_ratio"]
+
+
+# --- what is shipped for launch and viewers
+
+
+def known_names():
+    return {p.name for p in (*parameters.SIMULATOR, *parameters.LOGGER)}
+
+
+@pytest.mark.parametrize("name", ["simulation", "review"])
+def test_launch_files_name_what_exists(name):
+    launch = ElementTree.parse(SHARE / "launch" / f"{name}.launch.xml").getroot()
+    arguments = {arg.get("name") for arg in launch.iter("arg")}
+    text = ElementTree.tostring(launch, encoding="unicode")
+    assert {part.split(")")[0] for part in text.split("$(var ")[1:]} == arguments
+    for node in launch.iter("node"):
+        assert node.get("pkg") == "tss_ros"
+        assert (SHARE.parent.parent / "lib" / "tss_ros" / node.get("exec")).exists()
+        for param in node.iter("param"):
+            assert param.get("from") == "$(var params_file)" or param.get("name") in known_names()
+    for executable in launch.iter("executable"):
+        ros2, verb, package, command, *_ = executable.get("cmd").split()
+        assert (ros2, verb, package) == ("ros2", "run", "tss_ros")
+        assert (SHARE.parent.parent / "lib" / "tss_ros" / command).exists()
+
+
+def test_layouts_show_what_is_published():
+    topics = {f"/{name.lstrip('/')}": topic.type for name, topic in read_topics().items()}
+    rviz = yaml.safe_load((SHARE / "layouts" / "tss.rviz").read_text())["Visualization Manager"]
+    shown = {d["Class"]: d["Topic"]["Value"] for d in rviz["Displays"] if "Topic" in d}
+    assert {topics[value].split("/")[-1]: value for value in shown.values()} == {
+        kind.split("/")[-1]: value for kind, value in shown.items()
+    }
+    assert rviz["Global Options"]["Fixed Frame"] == messages.FRAME_ID
+    panels = json.loads((SHARE / "layouts" / "tss_foxglove.json").read_text())
+    scene = panels["configById"]["3D!formation"]
+    assert scene["followTf"] == messages.FRAME_ID and set(scene["topics"]) < set(topics)
+    plots = [p for name, p in panels["configById"].items() if name.startswith("Plot!")]
+    for path in (path["value"] for plot in plots for path in plot["paths"]):
+        topic, field = path.split(".")
+        message = next(t for name, t in read_topics().items() if f"/{name}" == topic).message_class
+        assert field.removesuffix("[:]") in message.get_fields_and_field_types()
+
+    def leaves(layout):
+        if isinstance(layout, str):
+            return {layout}
+        return leaves(layout["first"]) | leaves(layout["second"])
+
+    assert leaves(panels["layout"]) == set(panels["configById"])
+
+
+def test_frames_turn_with_the_orbit():
+    """Against the orbit's own geometry: position and velocity of the centre, and of a bead."""
+    system = ring()
+    quarter_ns = round(2 * np.pi / np.sqrt(3.986e14 / 7378e3**3) / 4 * 1e9)
+    bead_m = np.array([[100.0, 20.0, 3.0]] * 3)
+    for now_ns, centre, bead in (
+        (0, [0.0, 7378e3, 0.0], [100.0, 20.0, 3.0]),
+        # A quarter of an orbit later x points where y did: up has become -x.
+        (quarter_ns, [-7378e3, 0.0, 0.0], [-20.0, 100.0, 3.0]),
+    ):
+        orbit, *beads = messages.transforms(system, now_ns, bead_m, "left/")
+        assert (orbit.header.frame_id, orbit.child_frame_id) == ("left/inertial", "left/orbit")
+        move, turn = orbit.transform.translation, orbit.transform.rotation
+        assert time_ns(orbit.header.stamp) == now_ns
+        np.testing.assert_allclose([move.x, move.y, move.z], centre, atol=0.1)
+        names = [f"left/{name}" for name in system.bead_name]
+        assert [frame.child_frame_id for frame in beads] == names
+        assert {frame.header.frame_id for frame in beads} == {"left/orbit"}
+        place = beads[1].transform.translation
+        # The rotation of a vector by the quaternion (0, 0, z, w).
+        c, s = turn.w**2 - turn.z**2, 2 * turn.w * turn.z
+        turned = [c * place.x - s * place.y, s * place.x + c * place.y, place.z]
+        np.testing.assert_allclose(turned, bead, atol=1e-3)

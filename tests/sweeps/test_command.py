@@ -1,0 +1,82 @@
+"""The command `sweep`, as a user runs it."""
+
+import signal
+import subprocess
+import time
+
+import pyarrow.parquet
+import pytest
+from PIL import Image
+from ros_harness import SWEEP
+
+
+def run(*arguments):
+    return subprocess.run([*SWEEP, *arguments], capture_output=True, text=True, timeout=120)
+
+
+def rows(path):
+    return pyarrow.parquet.read_table(path).to_pylist()
+
+
+def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
+    done = run(
+        "three_star", "--parameter", "damping_n_s_per_m", "--values", "1450", "3000",
+        "--critical", "-2.2", "-1.95", "--rates", "-2.6", "-2.4", "2",
+        "--confirm", "12", "--output", str(tmp_path),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "DISAGREES" not in done.stdout
+    assert done.stdout.count("simulated: ") == len(rows(tmp_path / "simulations")) >= 4
+    first = {row["damping_n_s_per_m"]: row for row in rows(tmp_path / "critical_rates")[::-1]}
+    assert first[1450.0]["cause"] == "first slack"
+    assert first[1450.0]["spin_rate_ratio"] == pytest.approx(-2.171, abs=4e-3)  # closed form
+    assert first[3000.0]["cause"] == "axis tilt"
+    assert first[3000.0]["spin_rate_ratio"] == pytest.approx(-2.0, abs=2e-3)
+    multipliers = rows(tmp_path / "multipliers")
+    assert [row["spin_rate_ratio"] for row in multipliers] == [-2.6, -2.6, -2.4, -2.4] * 2
+    frozen = [row for row in multipliers if row["method"] == "frozen"]
+    assert len(frozen) == 4 and all(1.0 < row["max_modulus"] < 1.02 for row in frozen)
+    with Image.open(tmp_path / "map.png") as picture:
+        assert picture.size[0] > 1000
+        assert len(picture.convert("L").getcolors()) > 10
+
+
+@pytest.mark.parametrize(
+    "arguments, status, named",
+    [
+        (("nowhere", "--rates", "-3", "-2", "2"), 1, "'nowhere'"),
+        (("three_star",), 2, "give --rates or --critical"),
+        (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
+        (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),
+        (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),
+        (("--critical", "-2", "-2"), 1, "must not be empty"),
+        (("--critical", "-3", "-2", "--tolerance", "0"), 1, "tolerance"),
+        (("--rates", "-3", "-2", "2", "--retry"), 2, "--retry needs --output"),
+        (("--rates", "-3", "-2", "2", "--scheduler", "here"), 1, "scheduler is 'here'"),
+        (("--rates", "-3", "-2", "2", "--scheduler", "a", "--workers", "2"), 2, "--workers are"),
+    ],
+)
+def test_bad_command_lines_are_named(arguments, status, named):
+    done = run(*arguments)
+    assert done.returncode == status
+    assert named in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_interrupted_it_shows_what_was_done(tmp_path):
+    process = subprocess.Popen(
+        [*SWEEP, "three_star", "--rates", "-9", "-2.3", "5000", "--output", str(tmp_path / "o")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "o").is_dir() and process.poll() is None:
+            assert time.monotonic() < deadline
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130, error
+    assert "sweep: interrupted; " in error and "; the same command goes on from here" in error
+    assert "asymptotically stable" in out or "interrupted; 0 of" in error

@@ -1,0 +1,1 @@
+"""Recordings as MCAP bags: written, read, recovered, summed up. No ROS needed."""

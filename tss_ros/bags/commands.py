@@ -1,0 +1,244 @@
+"""What a bag says, as text, figures and tables: executables `summary`, `plot` and `export`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import yaml
+
+from tss_ros import plots
+from tss_ros.bags.recording import read_bag
+from tss_ros.core import TssError
+from tss_ros.scenarios.scenario import read_text
+
+
+def summary(argv=None):
+    """Executable `summary`; as all here: exit status 0, or 1 with one line why."""
+    return _run(
+        "summary", "Say what happened in a recording.", argv, lambda r, _: print(describe(r))
+    )
+
+
+def plot(argv=None):
+    """Executable `plot`."""
+    return _run("plot", "Draw the standard figures of a recording.", argv, _plot, _plot_options)
+
+
+def export(argv=None):
+    """Executable `export`."""
+    text = "Write a recording as tables, or what it takes to simulate it again."
+    return _run("export", text, argv, _export, _export_options)
+
+
+def describe(recording):
+    """What happened in a run, in a screenful.
+
+    Parameters
+    ----------
+    recording : tss_ros.bags.recording.Recording
+
+    Returns
+    -------
+    str
+    """
+    r, turns = recording, recording.turns
+    gaps = int((np.diff(r.step) - 1).sum())
+    from_centre = np.abs(r.deviation_from_centre).max(axis=1)
+    worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
+    slack = ~r.taut
+    energy, centre_m = r.energy_j, r.centre_of_mass_m
+    lost = "not said" if r.lost is None else r.lost
+    lines = [
+        f"scenario      {r.scenario}: {r.is_satellite.sum()} satellites, {len(r.bead_name)} beads "
+        f"in all, {len(r.tether_name)} tethers, {r.mass_kg.sum():g} kg",
+        f"orbit         {r.orbit_altitude_m / 1e3:g} km high, Omega {r.orbit_rate_rad_s:.6g} rad/s",
+        f"spin          {r.spin_rate_ratio:g} Omega, one turn {r.turn_s:.1f} s",
+        f"disturbance   {r.disturbance_m:g} m, seed {r.disturbance_seed}",
+        f"run           {r.run} of {r.runs} in the bag",
+        f"steps         {len(r.step)}, {r.step[0]} to {r.step[-1]}, {gaps} missing in between; "
+        f"messages lost: {lost}",
+        f"time          {r.t_s[0]:g} to {r.t_s[-1]:g} s, {turns[0]:.2f} to {turns[-1]:.2f} turns",
+        f"deviation     at most {np.abs(r.deviation).max():.3g} ({r.bead_name[worst[1]]}, turn "
+        f"{turns[worst[0]]:.2f}); from the centre of mass {from_centre.max():.3g}, "
+        f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last turn",
+        f"tethers       {r.length_m.min():.2f} to {r.length_m.max():.2f} m, "
+        f"{r.tension_n.min():.3g} to {r.tension_n.max():.3g} N; slack in "
+        f"{slack.any(axis=1).mean():.1%} of the steps",
+        f"energy        {energy[0]:.6g} to {energy[-1]:.6g} J",
+        f"mass centre   moved by at most {np.ptp(centre_m, axis=0).max():.3g} m along an axis",
+    ]
+    for result in r.stability:
+        verdict = result.verdict or result.message
+        lines.append(
+            f"stability     {result.spin_rate_ratio:g} Omega: {verdict}, "
+            f"max |rho| {result.max_modulus:.6f}"
+        )
+    if r.versions:
+        lines.append(f"simulated by  {', '.join(r.versions)}")
+    return "\n".join(lines)
+
+
+def _run(name, description, argv, act, add_options=lambda parser: None):
+    parser = argparse.ArgumentParser(prog=name, description=description)
+    parser.add_argument("bag", type=Path, help="bag directory or .mcap file")
+    parser.add_argument("--run", type=int, help="which run of a bag with several; default the last")
+    add_options(parser)
+    options = parser.parse_args(argv)
+    try:
+        act(read_bag(options.bag, options.run), options)
+    except TssError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"{name}: {error.filename!r} cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _plot_options(parser):
+    parser.add_argument(
+        "--output", type=Path, default=Path(), help="folder for the figures; default this one"
+    )
+    parser.add_argument(
+        "--format", choices=("png", "pdf", "svg"), default="png", help="default %(default)s"
+    )
+
+
+def _plot(r, options):
+    figures = {
+        "trajectories": plots.trajectories(
+            r.position_m, r.tether_ends, r.bead_name, r.is_satellite
+        ),
+        "deviation": plots.deviation(r.turns, r.deviation, r.bead_name, r.deviation_from_centre),
+        "tethers": plots.tethers(r.turns, r.length_m, r.tension_n, r.tether_name),
+        "balance": plots.balance(r.turns, r.energy_j, r.centre_of_mass_m),
+    }
+    if r.stability:
+        columns = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
+        figures["stability"] = plots.stability(
+            *([getattr(result, name) for result in r.stability] for name in columns)
+        )
+    options.output.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        path = options.output / f"{name}.{options.format}"
+        figure.savefig(path)
+        print(path)
+
+
+def _export_options(parser):
+    kinds = parser.add_mutually_exclusive_group(required=True)
+    kinds.add_argument(
+        "--csv", type=Path, metavar="FOLDER", help="tables beads, tethers and stability as CSV"
+    )
+    kinds.add_argument("--parquet", type=Path, metavar="FOLDER", help="the same as Parquet")
+    kinds.add_argument(
+        "--parameters",
+        type=Path,
+        metavar="FOLDER",
+        help="parameters.yaml (for sim_node --ros-args --params-file) and scenario.yaml",
+    )
+
+
+def _export(recording, options):
+    if options.parameters:
+        write_parameters(recording, options.parameters)
+        return
+    folder, write, ending = (
+        (options.csv, pyarrow.csv.write_csv, "csv")
+        if options.csv
+        else (options.parquet, pyarrow.parquet.write_table, "parquet")
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in tables(recording).items():
+        path = folder / f"{name}.{ending}"
+        with path.open("wb") as stream:
+            write(table, stream)
+        print(path)
+
+
+def tables(recording):
+    """A recording as Arrow tables: `beads`, `tethers` (a row per step and element), `stability`.
+
+    Parameters
+    ----------
+    recording : tss_ros.bags.recording.Recording
+
+    Returns
+    -------
+    dict of str to pyarrow.Table
+    """
+    r = recording
+
+    def rows(name, names, **values):
+        k, n = len(r.step), len(names)
+        when = {"step": r.step, "t_s": r.t_s, "turns": r.turns}
+        index = pa.array(np.tile(np.arange(n, dtype=np.int32), k))
+        return pa.table(
+            {
+                **{key: np.repeat(column, n) for key, column in when.items()},
+                name: pa.DictionaryArray.from_arrays(index, list(names)),
+                **{key: np.ravel(column) for key, column in values.items()},
+            }
+        )
+
+    found = {
+        "beads": rows(
+            "bead",
+            r.bead_name,
+            **{f"{axis}_m": r.position_m[..., i] for i, axis in enumerate("xyz")},
+            **{f"v{axis}_m_s": r.velocity_m_s[..., i] for i, axis in enumerate("xyz")},
+            deviation=r.deviation,
+        ),
+        "tethers": rows(
+            "tether", r.tether_name, length_m=r.length_m, tension_n=r.tension_n, taut=r.taut
+        ),
+    }
+    if r.stability:
+        names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict", "message")
+        found["stability"] = pa.table({n: [getattr(s, n) for s in r.stability] for n in names})
+    return found
+
+
+def write_parameters(recording, folder):
+    """Write what it takes to simulate a run again.
+
+    Parameters
+    ----------
+    recording : tss_ros.bags.recording.Recording
+    folder : Path
+        Takes `parameters.yaml`, for ``sim_node --ros-args --params-file``, and, if the scenario is
+        not a shipped one, `scenario.yaml`.
+
+    Raises
+    ------
+    TssError
+        If the bag does not say.
+    """
+    if not recording.parameters:
+        raise TssError("the bag does not carry the simulator's parameters")
+    folder.mkdir(parents=True, exist_ok=True)
+    parameters = dict(recording.parameters)
+    if not _is_unchanged(recording):
+        path = folder.absolute() / "scenario.yaml"
+        path.write_text(recording.scenario_yaml, encoding="utf-8")
+        parameters["scenario"] = str(path)
+        print(path)
+    path = folder / "parameters.yaml"
+    # JSON is YAML, and repeats every number bit for bit.
+    path.write_text(json.dumps({"/**": {"ros__parameters": parameters}}, indent=1) + "\n")
+    print(path)
+
+
+def _is_unchanged(recording):
+    """Whether the scenario's name still stands for the scenario that was simulated."""
+    try:
+        return yaml.safe_load(read_text(recording.scenario)) == yaml.safe_load(
+            recording.scenario_yaml
+        )
+    except TssError:
+        return False

@@ -1,0 +1,248 @@
+"""Bags read into arrays, run by run; as fast for a million steps as the disk allows."""
+
+import json
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tss_ros.bags.reader import DAMAGE, STATES, BagContent, bag_files
+from tss_ros.core import TssError, deviation
+from tss_ros.core.model.system import RADIUS_EARTH_M
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a bag says about one run, as arrays: k steps, n beads, m tether segments.
+
+    Attributes
+    ----------
+    scenario : str
+    bead_name, tether_name : tuple of str, lengths n and m
+    is_satellite : ndarray, shape (n,), bool
+    tether_ends : ndarray, shape (m, 2), int
+        Indices of the two beads that each segment joins.
+    mass_kg, reference_radius_m : ndarray, shape (n,)
+        Masses [kg]; undisturbed initial distances from the nominal centre [m], Eq. (53).
+    rest_length_m, axial_stiffness_n, damping_n_s_per_m : ndarray, shape (m,)
+        [m], [N], [N s/m].
+    orbit_altitude_m, orbit_rate_rad_s, spin_rate_ratio : float
+    disturbance_m, publish_period_s : float
+    disturbance_seed : int
+    step : ndarray, shape (k,), int
+    t_s : ndarray, shape (k,)
+        Simulation time [s].
+    position_m, velocity_m_s : ndarray, shape (k, n, 3)
+        In the orbit frame.
+    deviation : ndarray, shape (k, n)
+        Eq. (53) [-].
+    length_m, tension_n : ndarray, shape (k, m)
+        [m], [N].
+    taut : ndarray, shape (k, m), bool
+    run, runs : int
+        This is the run-th of the runs in its bag, from 1; each begins where the steps begin anew.
+    stability : tuple of messages FloquetResult
+        What the stability node found while the bag was recorded.
+    lost : int or None
+        Messages that the recorder, or `recover`, knew to be lost; None if the bag does not say.
+    parameters : dict
+        The simulator's parameters; empty in bags of other recorders.
+    scenario_yaml : str
+        Text of the scenario file.
+    versions : tuple of str
+        Of the software that simulated.
+    """
+
+    scenario: str
+    bead_name: tuple
+    tether_name: tuple
+    is_satellite: np.ndarray
+    tether_ends: np.ndarray
+    mass_kg: np.ndarray
+    reference_radius_m: np.ndarray
+    rest_length_m: np.ndarray
+    axial_stiffness_n: np.ndarray
+    damping_n_s_per_m: np.ndarray
+    orbit_altitude_m: float
+    orbit_rate_rad_s: float
+    spin_rate_ratio: float
+    disturbance_m: float
+    publish_period_s: float
+    disturbance_seed: int
+    step: np.ndarray
+    t_s: np.ndarray
+    position_m: np.ndarray
+    velocity_m_s: np.ndarray
+    deviation: np.ndarray
+    length_m: np.ndarray
+    tension_n: np.ndarray
+    taut: np.ndarray
+    run: int = 1
+    runs: int = 1
+    stability: tuple = ()
+    lost: int = None
+    parameters: dict = field(default_factory=dict)
+    scenario_yaml: str = ""
+    versions: tuple = ()
+
+    @property
+    def turn_s(self):
+        """Spin period of the undisturbed formation [s]."""
+        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.orbit_rate_rad_s)
+
+    @property
+    def turns(self):
+        """Simulation time in spin turns [-], shape (k,)."""
+        return self.t_s / self.turn_s
+
+    @property
+    def centre_of_mass_m(self):
+        """Centre of mass in the orbit frame [m], shape (k, 3)."""
+        return np.average(self.position_m, axis=1, weights=self.mass_kg)
+
+    @property
+    def deviation_from_centre(self):
+        """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
+        return deviation(
+            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
+        )
+
+    @property
+    def energy_j(self):
+        """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
+
+        Kinetic energy, that of gravity and centrifugal force against the frame's origin, and that
+        of the taut tethers, Eq. (3). Nothing but damping changes it.
+        """
+        radius = RADIUS_EARTH_M + self.orbit_altitude_m
+        y, z = self.position_m[..., 1], self.position_m[..., 2]
+        # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.
+        u = (2.0 * y + (self.position_m**2).sum(axis=2) / radius) / radius
+        well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
+        tidal = self.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
+        speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
+        stretch_m = np.where(self.taut, self.length_m - self.rest_length_m, 0.0)
+        stiffness = self.axial_stiffness_n / self.rest_length_m
+        return 0.5 * ((speed2 + tidal) @ self.mass_kg + stretch_m**2 @ stiffness)
+
+
+_DESCRIBED_ARRAYS = (
+    "mass_kg",
+    "reference_radius_m",
+    "rest_length_m",
+    "axial_stiffness_n",
+    "damping_n_s_per_m",
+)
+_DESCRIBED_NUMBERS = (
+    "orbit_altitude_m",
+    "orbit_rate_rad_s",
+    "spin_rate_ratio",
+    "disturbance_m",
+    "disturbance_seed",
+    "publish_period_s",
+)
+
+
+def read_bag(path, run=None):
+    """Read one run from a bag.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag directory or .mcap file.
+    run : int, optional
+        Which one, from 1, of a bag in which the simulation began anew; by default the last.
+
+    Returns
+    -------
+    Recording
+        The steps of which both bead and tether states were recorded; the last run, where the
+        simulator was reset or a snapshot restored in between.
+
+    Raises
+    ------
+    TssError
+        If there is no readable recording of a run.
+    """
+    shown = str(path)
+    bag = BagContent(shown)
+    for file in bag_files(path):
+        try:
+            with file.open("rb") as stream:
+                bag.read(stream)
+        except OSError as error:
+            raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
+        except DAMAGE as error:
+            reason = error or type(error).__name__
+            raise TssError(
+                f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
+                "killed, `recover` makes a whole bag of it"
+            ) from error
+    beads, tethers = (bag.runs(name) for name in STATES)
+    if len(beads) != len(tethers):
+        raise TssError(
+            f"{shown!r} holds {len(beads)} runs of BeadStates and {len(tethers)} of TetherStates; "
+            "allowed: as many of each"
+        )
+    if run is not None and not 1 <= run <= len(beads):
+        raise TssError(f"run is {run}; allowed for {shown!r}: 1 to {len(beads)}")
+    number = run or len(beads)
+    first_bead = sum(len(earlier) for earlier in beads[: number - 1])
+    return _recording(bag, number, len(beads), first_bead, beads[number - 1], tethers[number - 1])
+
+
+def described_fields(described):
+    """What a message SystemDescription says, as the fields of a Recording.
+
+    Parameters
+    ----------
+    described : message
+
+    Returns
+    -------
+    dict
+    """
+    return {
+        "scenario": described.scenario,
+        "bead_name": tuple(described.bead_name),
+        "tether_name": tuple(described.tether_name),
+        "is_satellite": np.array(described.is_satellite, dtype=bool),
+        "tether_ends": np.reshape(described.tether_ends, (-1, 2)).astype(int),
+        **{name: np.array(getattr(described, name)) for name in _DESCRIBED_ARRAYS},
+        **{name: getattr(described, name) for name in _DESCRIBED_NUMBERS},
+        # Bags made before these fields existed lack them.
+        "parameters": json.loads(getattr(described, "parameters_json", "") or "{}"),
+        "scenario_yaml": getattr(described, "scenario_yaml", ""),
+        "versions": tuple(getattr(described, "versions", ())),
+    }
+
+
+def _recording(bag, number, run_count, first_bead, beads, tethers):
+    steps, of_beads, of_tethers = np.intersect1d(
+        beads["step"], tethers["step"], assume_unique=True, return_indices=True
+    )
+    if not steps.size:
+        raise TssError(
+            f"{bag.shown!r} holds no step of both: BeadStates {beads['step'][0]} to "
+            f"{beads['step'][-1]}, TetherStates {tethers['step'][0]} to {tethers['step'][-1]}"
+        )
+
+    def column(source, field, *shape):
+        values, rows = (beads, of_beads) if source == "beads" else (tethers, of_tethers)
+        return values[field][rows].reshape(len(steps), *shape)
+
+    return Recording(
+        **described_fields(bag.description(first_bead, number, run_count)),
+        step=steps.astype(int),
+        t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
+        position_m=column("beads", "position_m", -1, 3),
+        velocity_m_s=column("beads", "velocity_m_s", -1, 3),
+        deviation=column("beads", "deviation", -1),
+        length_m=column("tethers", "length_m", -1),
+        tension_n=column("tethers", "tension_n", -1),
+        taut=column("tethers", "taut", -1).astype(bool),
+        run=number,
+        runs=run_count,
+        stability=tuple(message for _, message in bag.others["FloquetResult"]),
+        lost=bag.lost,
+    )

@@ -1,0 +1,236 @@
+"""Initial configurations: the paper's, Eqs. (50), (51), (54), and the averaged rotating state."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import root
+
+from tss_ros.core.errors import NoSteadyState
+from tss_ros.core.model import forces
+from tss_ros.core.model.system import State, finite
+from tss_ros.core.numerics import block_lu
+
+
+@dataclass(frozen=True)
+class InitialState(State):
+    """A `State` to start from, with where it comes from.
+
+    Attributes
+    ----------
+    origin : str
+        "Eqs. 50-51", "Eq. 54" or "averaged gravity gradient".
+    """
+
+    origin: str = ""
+
+
+def initial_state(system, spin_rate_ratio):
+    """Steady configuration to start from at time 0: the paper's where it has one.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+        w = omega / Omega, negative for clockwise.
+
+    Returns
+    -------
+    InitialState
+
+    Raises
+    ------
+    TssError
+        If the rate is not allowed.
+    NoSteadyState
+        If no steady configuration was found.
+    """
+    spin = system.spin_rate_rad_s(spin_rate_ratio)
+    units = ring_units(system)
+    if units and system.n // units <= 2:
+        return _paper_configuration(system, spin, units)
+    return averaged_state(system, spin_rate_ratio)
+
+
+def ring_units(system):
+    """Number of satellites if the system is a ring of equal units, Eq. (4), else 0."""
+    n, units = system.n, int(np.count_nonzero(system.is_satellite))
+    if system.m != n or units < 3 or n % units:
+        return 0
+    if not np.array_equal(system.tether_ends, np.stack([np.arange(n), np.arange(1, n + 1) % n], 1)):
+        return 0
+    for values in (
+        system.is_satellite, system.mass_kg, system.rest_length_m, system.axial_stiffness_n,
+        system.damping_n_s_per_m,
+    ):
+        if not np.array_equal(values, np.roll(values, n // units)):
+            return 0
+    return units
+
+
+def rotating(position_m, spin_rate_rad_s):
+    """Velocities omega z cross r of a rigid turn in the orbit frame, (n, 3) [m/s]."""
+    x, y = position_m[:, 0], position_m[:, 1]
+    return spin_rate_rad_s * np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+
+def _paper_configuration(system, spin, units):
+    """Solve Eq. (51), or (54) with one bead between satellites, for the radii R_1 (and R_2)."""
+    per_unit = system.n // units
+    angle = math.pi / 2 + 2.0 * math.pi * np.arange(system.n) / system.n
+    outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)
+    plant = forces.plant(system, 0.0)
+    taut = np.ones(system.m, dtype=bool)
+    acceleration = np.empty((system.n, 3))
+
+    def state(radii):
+        position = np.tile(radii, units)[:, None] * outward
+        return position, rotating(position, spin)
+
+    def imbalance(radii):
+        position, velocity = state(radii)
+        forces.acceleration(plant, taut, 0.0, velocity, position, acceleration)
+        radial = np.sum(acceleration * outward, axis=1)[:per_unit]
+        return radial + spin**2 * radii
+
+    length = np.sum(system.rest_length_m[:per_unit])
+    guess = np.full(per_unit, length / (2.0 * math.sin(math.pi / units)))
+    if per_unit == 2:
+        guess[1] *= math.cos(math.pi / units)
+    stiffness = system.axial_stiffness_n / system.rest_length_m
+    guess *= 1.0 + min(spin**2 * np.max(system.mass_kg) / np.min(stiffness), 0.1)
+    solution = root(imbalance, guess, tol=1e-14)
+    error = np.max(np.abs(imbalance(solution.x))) / (spin**2 * np.max(solution.x))
+    rounding = 16 * np.finfo(float).eps * np.max(stiffness) / np.min(system.mass_kg) / spin**2
+    if not error < 1e-8 + rounding or np.min(solution.x) <= 0.0:
+        raise NoSteadyState(
+            f"no steady configuration found for spin_rate_ratio {spin / system.orbit_rate_rad_s:g}:"
+            f" Eq. (51) is left with a relative imbalance of {error:.1e}"
+        )
+    return InitialState(*state(solution.x), "Eqs. 50-51" if per_unit == 1 else "Eq. 54")
+
+
+def averaged_state(system, spin_rate_ratio):
+    """Rotating equilibrium under the gravity gradient averaged over one turn, 1.5 Omega^2 in plane.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+
+    Returns
+    -------
+    InitialState
+
+    Raises
+    ------
+    TssError
+        If the rate is not allowed.
+    NoSteadyState
+        If none was found near the system's layout.
+    """
+    spin = system.spin_rate_rad_s(spin_rate_ratio)
+    rate = system.orbit_rate_rad_s
+    outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
+    # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin of
+    # sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
+    plant = forces.plant(system, math.sqrt(outward))._replace(rate=0.0, bilateral=True)
+    symbolic = block_lu.analyse(system.n, system.tether_ends)
+    taut = np.ones(system.m, dtype=bool)
+    mass = system.mass_kg
+    still = np.zeros((system.n, 3))
+    acceleration = np.empty((system.n, 3))
+    by_r, by_v = np.empty((2, symbolic.blocks, 3, 3))
+
+    def imbalance(position):
+        forces.acceleration(plant, taut, 0.0, still, position, acceleration)
+        acceleration[:, 2] -= rate**2 * position[:, 2]
+        return (mass[:, None] * acceleration).ravel()
+
+    place = np.array(system.layout_m)
+    place -= np.average(place, axis=0, weights=mass)
+    radius = np.max(np.linalg.norm(place, axis=1))
+    strain = np.sum(mass) * outward * radius / np.min(system.axial_stiffness_n)
+    place *= 1.0 + min(max(strain, 1e-9), 0.05)
+    scale = outward * radius * np.mean(mass)
+    pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
+    rounding = 8 * np.finfo(float).eps * radius * np.max(plant.stiffness) / scale
+    for _ in range(10):
+        force = imbalance(place)
+        for _ in range(200):
+            if np.max(np.abs(force)) < 1e-12 * scale:
+                break
+            forces.jacobian(plant, symbolic.pair, taut, 0.0, still, place, by_r, by_v)
+            by_r[: system.n, 2, 2] -= rate**2
+            # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
+            along = rotating(place[pinned : pinned + 1], 1.0)[0] / radius
+            by_r[pinned] -= np.max(np.abs(by_r[pinned])) * np.outer(along, along)
+            block_lu.factor(symbolic, by_r)
+
+            def correction(force):
+                step = -force.reshape(-1, 3) / mass[:, None]
+                block_lu.solve(symbolic, by_r, step)
+                return step
+
+            step = correction(force)
+            if not np.isfinite(step).all():
+                break
+            # Forces tell nothing of the distance to go where tethers are stiff; corrections do.
+            size = min(1.0, 0.3 * radius / max(np.max(np.abs(step)), 1e-300))
+            best = np.sum(step * step)
+            trial = imbalance(place + size * step)
+            while size > 1e-6 and not np.sum(correction(trial) ** 2) < (1.0 - size / 2) * best:
+                size *= 0.5
+                trial = imbalance(place + size * step)
+            if size <= 1e-6:
+                break
+            place, force = place + size * step, trial
+        stretched = forces.tether_state(system, place, still)[2] | system.bilateral
+        if np.array_equal(stretched, taut):
+            break
+        taut = stretched
+    left = np.max(np.abs(force)) / scale
+    if not left < 1e-9 + rounding:
+        raise NoSteadyState(
+            f"no steady configuration found for spin_rate_ratio"
+            f" {spin_rate_ratio:g}: forces are left with a relative imbalance of {left:.1e}"
+        )
+    return InitialState(place, rotating(place, spin), "averaged gravity gradient")
+
+
+def disturbed(state, disturbance_m, seed=0):
+    """Displace every bead by a seeded random vector.
+
+    Parameters
+    ----------
+    state : State
+    disturbance_m : float
+        [m] Euclidean norm of all displacements together.
+    seed : int
+
+    Returns
+    -------
+    State
+        Velocities unchanged.
+    """
+    size = finite("disturbance_m", disturbance_m, at_least=0.0)
+    push = np.random.default_rng(seed).standard_normal(state.position_m.shape)
+    return State(
+        state.position_m + size * push / np.linalg.norm(push), np.array(state.velocity_m_s)
+    )
+
+
+def deviation(position_m, reference_radius_m):
+    """Relative deviation d_i = |r_i| / R_0 - 1, Eq. (53).
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (..., n, 3)
+    reference_radius_m : float or ndarray, shape (n,)
+        Distance of each bead from the centre in the undisturbed initial state.
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+    """
+    return np.linalg.norm(position_m, axis=-1) / reference_radius_m - 1.0

@@ -1,0 +1,1 @@
+"""How a state moves: integration in time, with slack/taut switches and variations."""

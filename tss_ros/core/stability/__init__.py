@@ -1,0 +1,1 @@
+"""What a motion is worth: periodic motions, Floquet multipliers, verdicts, critical rates."""

@@ -1,0 +1,172 @@
+"""Confirmation of a verdict by direct simulation of a disturbed motion."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.configurations import deviation, disturbed, initial_state
+from tss_ros.core.model.system import finite
+from tss_ros.core.motion.propagator import Propagator
+
+#: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
+SMALL, STILL_SMALL = 1e-7, 1e-3
+#: How far the undisturbed motion's shape may be from its start after whole turns, over the radius.
+STILL_CLOSED = 0.01
+#: Samples in each turn.
+SAMPLES = 200
+#: A formation is lost when a bead leaves its place by this share of the radius.
+LOST = 0.2
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What became of a disturbed formation.
+
+    Attributes
+    ----------
+    held : bool
+        No bead left its distance from the centre of mass, nor its undisturbed height over the
+        orbit plane, by more than `LOST`.
+    turns_to_settle : float
+        Turns after which the deviation from the undisturbed motion, measured from the centre of
+        mass, stays below a tenth of its largest value; infinity if it does not.
+    growth_per_turn : float
+        Factor by which a very small disturbance of the shape and the tilt grows a turn, fitted
+        over the second half of the turns in which it stays small: to be compared with the largest
+        non-trivial multiplier. A drift in proportion to time shows as about 1 + 1/turns. NaN if
+        it does not stay small, or the undisturbed motion does not stay closed, for four turns.
+    deviation_from_origin, deviation_from_centre : float
+        Largest |d_i| of Eq. (53), measured from the frame's origin and from the instantaneous
+        centre of mass.
+    switches : int
+        Slack/taut switches of the disturbed motion.
+    turns : ndarray, shape (k,)
+        Sample times in turns.
+    history : ndarray, shape (k,)
+        Largest difference of the beads' distances from the centre of mass between the disturbed
+        and the undisturbed motion, over the radius.
+    """
+
+    held: bool
+    turns_to_settle: float
+    growth_per_turn: float
+    deviation_from_origin: float
+    deviation_from_centre: float
+    switches: int
+    turns: np.ndarray
+    history: np.ndarray
+
+    def agrees_with(self, result):
+        """Whether this motion is what a `FloquetResult` at its rate says.
+
+        A formation said to be stable holds. One without a periodic motion is lost or does not
+        settle. One that is unstable is lost, or departs at least as fast as the root of the largest
+        multiplier.
+
+        Parameters
+        ----------
+        result : FloquetResult
+
+        Returns
+        -------
+        bool or None
+            None if the multipliers grow so slowly that `turns` do not tell it from a drift in
+            proportion to time.
+        """
+        if result.verdict in ("neutral", "asymptotically stable"):
+            return self.held
+        if not self.held:
+            return True
+        if result.verdict == "no periodic motion":
+            return math.isinf(self.turns_to_settle)
+        if result.max_modulus < 1.0 + 2.0 / self.turns[-1] or math.isnan(self.growth_per_turn):
+            return None
+        return self.growth_per_turn > result.max_modulus**0.5
+
+
+def confirm(
+    system, spin_rate_ratio, state=None, disturbance_m=10.0, seed=0, turns=8, cancelled=None
+):
+    """Simulate a disturbed formation beside the undisturbed one.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+    state : State, optional
+        Undisturbed start, e.g. `FloquetResult.state`; `initial_state` if not given.
+    disturbance_m : float
+        [m] see `disturbed`.
+    seed : int
+    turns : int
+        How long to simulate.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Returns
+    -------
+    Confirmation
+
+    Raises
+    ------
+    TssError
+        For values that are not allowed.
+    Cancelled
+        If `cancelled` said so.
+    """
+    finite("disturbance_m", disturbance_m, above=0.0)
+    if not 1 <= turns <= 10_000:
+        raise TssError(f"turns must be from 1 to 10000, got {turns}")
+    if state is None:
+        state = initial_state(system, spin_rate_ratio)
+    period = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
+    times = np.linspace(0.0, turns * period, turns * SAMPLES + 1)
+    weight = system.mass_kg / np.sum(system.mass_kg)
+
+    def run(start):
+        motion = Propagator(system, spin_rate_ratio, start, rtol=1e-12)
+        position, _ = motion.sample(times, cancelled)
+        centre = np.einsum("i,kic->kc", weight, position)
+        return position, position - centre[:, None], motion.switches
+
+    undisturbed, calm, _ = run(state)
+    position, pushed, switches = run(disturbed(state, disturbance_m, seed))
+    radius = np.linalg.norm(state.position_m, axis=1)
+    size = np.max(radius)
+    beyond = radius > 1e-6 * size
+    distance = np.linalg.norm(pushed, axis=2)
+    history = np.max(np.abs(distance - np.linalg.norm(calm, axis=2)), axis=1) / size
+    from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
+    height = np.max(np.abs(position - undisturbed)[:, :, 2]) / size
+    _, nudged, _ = run(disturbed(state, SMALL * size, seed))
+    loud = np.flatnonzero(history > 0.1 * np.max(history))
+    settled = loud[-1] + 1 < len(times) - SAMPLES // 2
+    return Confirmation(
+        bool(from_centre < LOST and height < LOST),
+        float(times[loud[-1] + 1] / period) if settled else math.inf,
+        _growth(nudged, calm, size),
+        float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
+        float(from_centre),
+        switches,
+        times / period,
+        history,
+    )
+
+
+def _growth(nudged, calm, size):
+    """Growth a turn of the difference between two motions in shape and tilt, (k, n, 3) each."""
+    shape = np.linalg.norm(nudged, axis=2) - np.linalg.norm(calm, axis=2)
+    tilt = nudged[:, :, 2] - calm[:, :, 2]
+    difference = np.linalg.norm(np.concatenate([shape, tilt], axis=1), axis=1) / size
+    largest = np.max(difference[1:].reshape(-1, SAMPLES), axis=1)
+    # An unstable motion leaves its own start too, and then is no longer what the matrix is of.
+    distance = np.linalg.norm(calm, axis=2)[::SAMPLES] / size
+    own = np.max(np.abs(distance - distance[0])[1:], axis=1)
+    over = np.append((largest > STILL_SMALL) | (own > STILL_CLOSED), True)
+    turns = int(np.argmax(over))
+    if turns < 4:
+        return math.nan
+    late = np.arange(turns // 2, turns)
+    return math.exp(np.polyfit(late, np.log(largest[late]), 1)[0])

@@ -1,0 +1,143 @@
+"""Critical spin rates: where in an interval tethers first go slack or stability is lost."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.system import finite
+from tss_ros.core.stability.floquet import compute_floquet
+
+CAUSES = ("first slack", "axis tilt", "shape", "spin", "no periodic motion")
+
+#: Slower spin than this is left out of an interval: one turn becomes longer than twenty orbits.
+SLOWEST = 0.05
+
+
+@dataclass(frozen=True)
+class CriticalRate:
+    """A boundary of stability, or of the range where no tether ever goes slack.
+
+    Attributes
+    ----------
+    spin_rate_ratio : float
+        w = omega / Omega in the middle of the bracket.
+    uncertainty : float
+        Half the width of the bracket, whose ends were found different.
+    cause : str
+        One of `CAUSES`: "first slack" if tethers go slack on one side and on the other do not (the
+        motion may stay stable a little further), else the family that leaves the unit circle.
+    stable_side : int
+        +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
+    """
+
+    spin_rate_ratio: float
+    uncertainty: float
+    cause: str
+    stable_side: int
+
+
+def find_critical_rates(
+    system, ratio_from, ratio_to, tolerance=1e-3, spacing=0.05, progress=None, cancelled=None
+):
+    """All boundaries in an interval of spin rates, bracketed by bisection.
+
+    Parameters
+    ----------
+    system : System
+    ratio_from, ratio_to : float
+        The interval of w = omega / Omega; |w| < `SLOWEST` is left out.
+    tolerance : float
+        Half-width to which every boundary is bracketed.
+    spacing : float
+        Distance of the first samples; stable or unstable pockets narrower than this may be missed.
+    progress : callable, optional
+        Called with the fraction of the work done, from 0 to 1, and the boundaries found so far.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Returns
+    -------
+    list of CriticalRate
+        In increasing order.
+
+    Raises
+    ------
+    TssError
+        For values that are not allowed.
+    Cancelled
+        If `cancelled` said so.
+    """
+    low, high = sorted(
+        (finite("spin_rate_ratio_from", ratio_from), finite("spin_rate_ratio_to", ratio_to))
+    )
+    finite("tolerance", tolerance, at_least=1e-6)
+    finite("spacing", spacing, at_least=1e-3)
+    if not low < high:
+        raise TssError(f"the interval of spin rates must not be empty, got {low:g} to {high:g}")
+    for end in (low, high):
+        system.spin_rate_rad_s(end if abs(end) > SLOWEST else SLOWEST)
+    pieces = [(low, min(high, -SLOWEST)), (max(low, SLOWEST), high)]
+    grids = [
+        np.linspace(a, b, max(2, int(np.ceil((b - a) / spacing)) + 1)) for a, b in pieces if a < b
+    ]
+    if (total := sum(len(grid) for grid in grids)) > 100_000:
+        raise TssError(f"the interval holds {total} samples at spacing {spacing:g}, at most 100000")
+    found, done = [], 0
+    for grid in grids:
+        before = None
+        for ratio in grid:
+            after = _look(system, float(ratio), cancelled)
+            if before is not None:
+                found.extend(_bracket(system, before, after, tolerance, cancelled))
+            before = after
+            done += 1
+            if progress is not None:
+                progress(done / total, tuple(found))
+    return found
+
+
+@dataclass(frozen=True)
+class _Sample:
+    ratio: float
+    stable: bool
+    slack: bool
+    cause: str
+
+
+def _look(system, ratio, cancelled):
+    result = compute_floquet(system, ratio, certify=False, cancelled=cancelled)
+    stable = result.verdict in ("neutral", "asymptotically stable")
+    cause = "no periodic motion"
+    if result.verdict == "unstable":
+        leaving = {
+            family: max(abs(m) for m, f in zip(result.multiplier, result.family) if f == family)
+            for family in ("axis tilt", "shape")
+            if family in result.family
+        }
+        cause = max(leaving, key=leaving.get, default="spin")
+        if not leaving or leaving[cause] <= 1.0 + result.tolerance:
+            cause = "spin"
+    return _Sample(ratio, stable, result.switches > 0, cause)
+
+
+def _bracket(system, a, b, tolerance, cancelled):
+    """Boundaries between two samples, in order; none where both are alike."""
+    if (a.stable, a.slack) == (b.stable, b.slack) or not (a.stable or b.stable):
+        return []
+    if b.ratio - a.ratio > 2.0 * tolerance:
+        middle = _look(system, 0.5 * (a.ratio + b.ratio), cancelled)
+        return [
+            *_bracket(system, a, middle, tolerance, cancelled),
+            *_bracket(system, middle, b, tolerance, cancelled),
+        ]
+    better, worse = (a, b) if (a.stable, not a.slack) > (b.stable, not b.slack) else (b, a)
+    slack = worse.stable or (worse.slack and not better.slack and worse.cause != "axis tilt")
+    return [
+        CriticalRate(
+            0.5 * (a.ratio + b.ratio),
+            0.5 * (b.ratio - a.ratio),
+            "first slack" if slack else worse.cause,
+            1 if better is b else -1,
+        )
+    ]

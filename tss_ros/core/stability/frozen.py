@@ -1,0 +1,37 @@
+"""The Jacobian of a configuration as if it stood still, Eqs. (34) and (52)."""
+
+import numpy as np
+
+from tss_ros.core.model import forces
+from tss_ros.core.numerics import block_lu
+
+
+def frozen_jacobian(system, state, speed=1.0, length=1.0):
+    """J_0 = dF/dx of Eq. (52) in the orbit frame at t = 0, states ordered as in Eq. (29).
+
+    Parameters
+    ----------
+    system : System
+    state : State
+    speed, length : float
+        Units of velocity [m/s] and position [m]; 1 gives SI.
+
+    Returns
+    -------
+    ndarray, shape (6n, 6n)
+        [1/s] in these units.
+    """
+    n = system.n
+    plant = forces.plant(system, 0.0)
+    symbolic = block_lu.analyse(n, system.tether_ends)
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    taut = forces.tether_state(system, state.position_m, state.velocity_m_s)[2] | system.bilateral
+    forces.jacobian(
+        plant, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
+    )
+    matrix = np.zeros((2, n, 3, 2, n, 3))
+    matrix[0, symbolic.row, :, 0, symbolic.column, :] = by_v
+    matrix[0, symbolic.row, :, 1, symbolic.column, :] = by_r * (length / speed)
+    matrix = matrix.reshape(6 * n, 6 * n)
+    matrix[3 * n :, : 3 * n] = np.eye(3 * n) * (speed / length)
+    return matrix

@@ -1,0 +1,9 @@
+"""Matplotlib figures of recorded motions and stability results, from plain arrays.
+
+Figures are built without pyplot, so they share no state and need no screen; the caller saves them.
+"""
+
+from tss_ros.plots.charts import stability, stability_map
+from tss_ros.plots.motions import balance, deviation, tethers, trajectories
+
+__all__ = ["balance", "deviation", "stability", "stability_map", "tethers", "trajectories"]

@@ -1,0 +1,161 @@
+"""Figures of recorded motions."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tss_ros.plots.style import DPI, INK, MARKERS, finish, legend_below, series_style
+
+
+def trajectories(position_m, tether_ends, bead_name, is_satellite):
+    """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
+
+    Parameters
+    ----------
+    position_m : array (k, n, 3)
+        Positions in the orbit frame [m]: y radial up, z along the orbit normal.
+    tether_ends : array (m, 2) of int
+        The two beads that each tether joins.
+    bead_name : sequence of str (n)
+    is_satellite : array (n,) of bool
+        Satellites have a symbol, a line style and a name; other beads are thin grey paths.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two axes that share the radial direction: the orbital plane [km], and the view along x,
+        whose abscissa is in metres because a healthy motion hardly leaves the plane.
+    """
+    figure = Figure(figsize=(9.0, 6.4), dpi=DPI, layout="constrained")
+    plan, edge = figure.subplots(1, 2, sharey=True, width_ratios=(3.4, 1))
+    position_m = np.asarray(position_m, dtype=float)
+    x_km, y_km, z_m = position_m[..., 0] / 1e3, position_m[..., 1] / 1e3, position_m[..., 2]
+    for axes, across in ((plan, x_km), (edge, z_m)):
+        axes.plot(
+            across[:, ~np.asarray(is_satellite)],
+            y_km[:, ~np.asarray(is_satellite)],
+            color="0.7",
+            linewidth=0.5,
+        )
+        for i in np.flatnonzero(is_satellite):
+            style = series_style(i)
+            marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
+            axes.plot(
+                across[:, i],
+                y_km[:, i],
+                **style,
+                linewidth=0.8,
+                markevery=[-1],
+                label=bead_name[i],
+                **marker,
+            )
+            axes.plot(
+                across[0, i],
+                y_km[0, i],
+                color=style["color"],
+                markerfacecolor="white",
+                linestyle="",
+                **marker,
+            )
+    for step, linestyle, label in ((0, "--", "start (open symbols)"), (-1, "-", "end (filled)")):
+        # One broken line for all tethers: NaN lifts the pen between them.
+        ends = np.asarray(tether_ends)
+        pen = [
+            np.column_stack([p[step][ends], np.full(len(ends), np.nan)]).ravel()
+            for p in (x_km, y_km)
+        ]
+        plan.plot(
+            *pen, color=INK, linestyle=linestyle, linewidth=1.2, zorder=3, label=f"tethers, {label}"
+        )
+    plan.set_aspect("equal", adjustable="datalim")
+    finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
+    finish(edge, "z, orbit normal [m]", "")
+    legend_below(figure, plan, columns=5)
+    return figure
+
+
+def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
+    """Relative deviation of the beads' distances from their undisturbed values against turns.
+
+    Parameters
+    ----------
+    turns : array (k,)
+        Simulated time over the spin period [-].
+    deviation : array (k, n)
+        Eq. 53, measured from the origin of the orbit frame [-].
+    bead_name : sequence of str (n)
+    from_centre_of_mass : array (k, n), optional
+        The same measured from the instantaneous centre of mass [-]: whether the formation holds
+        its shape, however far it drifted along the orbit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One axes for each of the two measures given, ordinates in per cent.
+    """
+    panels = [("from the frame's origin (Eq. 53) [%]", deviation)]
+    if from_centre_of_mass is not None:
+        panels.append(("from the centre of mass [%]", from_centre_of_mass))
+    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+    rows = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+    for axes, (label, values) in zip(rows, panels):
+        for i, name in enumerate(bead_name):
+            axes.plot(
+                turns, 100 * np.asarray(values)[:, i], **series_style(i), linewidth=1.1, label=name
+            )
+        axes.axhline(0, color=INK, linewidth=0.6, zorder=1)
+        axes.margins(x=0.01)
+        finish(axes, "", f"deviation\n{label}")
+    rows[-1].set_xlabel("turns of the formation [-]")
+    legend_below(figure, rows[0], columns=min(6, len(bead_name)))
+    return figure
+
+
+def tethers(turns, length_m, tension_n, tether_name):
+    """Lengths and tensions of all tether segments against turns.
+
+    Parameters
+    ----------
+    turns : array (k,)
+    length_m, tension_n : array (k, m)
+        [m] and [N].
+    tether_name : sequence of str (m)
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    return _panels(turns, (("length [m]", length_m), ("tension [N]", tension_n)), tether_name)
+
+
+def balance(turns, energy_j, centre_of_mass_m):
+    """Energy and centre of mass in the orbit frame against turns.
+
+    Parameters
+    ----------
+    turns, energy_j : array (k,)
+        [-] and [J].
+    centre_of_mass_m : array (k, 3)
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    names = ("x, against the flight direction", "y, radial, up", "z, orbit normal")
+    figure = _panels(turns, (("centre of mass [m]", centre_of_mass_m), ("energy [J]", [])), names)
+    figure.axes[1].plot(turns, energy_j, color=INK, linewidth=1.1)
+    return figure
+
+
+def _panels(turns, panels, names):
+    """One axes for each (label, array (k, curves)), with a common abscissa and one legend."""
+    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+    rows = figure.subplots(len(panels), 1, sharex=True)
+    for axes, (label, values) in zip(rows, panels):
+        for i, curve in enumerate(np.transpose(values)):
+            axes.plot(turns, curve, **series_style(i), linewidth=1.1, label=names[i])
+        axes.margins(x=0.01)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        finish(axes, "", label)
+    rows[-1].set_xlabel("turns of the formation [-]")
+    legend_below(figure, rows[0], columns=min(6, len(names)))
+    return figure

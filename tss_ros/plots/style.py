@@ -1,0 +1,46 @@
+"""The look that all figures share.
+
+Line style and marker tell the curves apart where colour cannot.
+"""
+
+# Okabe and Ito's palette without yellow: distinct for every kind of colour vision.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINE_STYLES = (
+    "-",
+    (0, (5, 1.5)),
+    (0, (1, 1)),
+    (0, (7, 1.5, 1, 1.5)),
+    (0, (3, 1, 1, 1, 1, 1)),
+    (0, (9, 3)),
+)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+VERDICT_STYLES = {
+    "asymptotically stable": {"marker": "o", "color": "#0072B2"},
+    "neutral": {"marker": "s", "color": "#009E73"},
+    "unstable": {"marker": "X", "color": "#D55E00"},
+    "no periodic motion": {"marker": "v", "color": "#555555"},
+    "undecided": {"marker": "d", "color": "#CC79A7"},
+}
+INK = "#333333"
+DPI = 200
+
+
+def series_style(i):
+    """Colour and line style of the i-th curve."""
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]}
+
+
+def finish(axes, xlabel, ylabel):
+    """Label the axes and give them the common look."""
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend_below(figure, axes, columns):
+    """One legend for the figure, of the curves in `axes`, where it covers none."""
+    figure.legend(
+        *axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False
+    )

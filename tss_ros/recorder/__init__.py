@@ -1,0 +1,1 @@
+"""The logger node, its live view, and the player of recordings."""

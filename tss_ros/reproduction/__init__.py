@@ -1,0 +1,1 @@
+"""The paper redone figure by figure, and its claims judged."""

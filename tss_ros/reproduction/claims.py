@@ -1,0 +1,326 @@
+"""What the paper claims, and the numbers that confirm or contradict it; no ROS, no drawing.
+
+Every function returns plain lists, dicts and numbers, ready for JSON. Spin rates are
+w = omega / Omega, negative for the paper's clockwise.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from tss_ros.core import Propagator, compute_floquet, confirm, find_critical_rates, tether_state
+from tss_ros.scenarios import scenario
+
+DISTURBANCE_M, SEED = 10.0, 1
+SAMPLES_PER_TURN = 200
+#: A motion is lost when a distance changes by more than this part of the radius.
+LOST = 0.2
+#: Half-width within which a computed critical rate agrees with the paper's three digits.
+AGREES = 0.02
+#: Dampings tried [N s/m], besides those identified.
+DAMPINGS = (10.0, 100.0, 300.0, 1000.0, 2000.0, 3000.0, 5000.0)
+#: Of the rigid 3-star without damping: always taut only for w < -(1 + sqrt(5/2)).
+RIGID_EDGE = -(1.0 + math.sqrt(2.5))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One simulated motion of the paper's figures.
+
+    Attributes
+    ----------
+    scenario : str
+    rate : float
+    turns : int
+    disturbance_m : float
+    """
+
+    scenario: str
+    rate: float
+    turns: int = 8
+    disturbance_m: float = DISTURBANCE_M
+
+
+MOTIONS = {
+    "figure_03": Motion("three_star", -2.0, 3, 0.0),
+    "figure_04": Motion("three_star", -2.5, 3, 0.0),
+    "figure_06": Motion("three_star", -2.0),
+    "figure_07": Motion("three_star", -2.5),
+    "figure_10_2.5": Motion("three_star_50kg", -2.5),
+    "figure_10_2.9": Motion("three_star_50kg", -2.9),
+    "figure_11_1.5": Motion("three_star_1000kg", -1.5),
+    "figure_11_2.2": Motion("three_star_1000kg", -2.2),
+    "figure_14_1.5": Motion("six_bead", -1.5, 12),
+    "figure_14_2.2": Motion("six_bead", -2.2, 12),
+    # Not the paper's: a rate at which our six beads hold, to see what lengths and shape do then.
+    "six_bead_2.9": Motion("six_bead", -2.9, 12),
+}
+
+#: The 3-stars, by mass.
+STARS = ("three_star_50kg", "three_star", "three_star_1000kg")
+#: Critical rates claimed, by scenario.
+CRITICAL = {
+    "three_star": -2.17,
+    "three_star_50kg": -2.79,
+    "three_star_1000kg": -2.07,
+    "six_bead": -2.08,
+}
+TITLES = {
+    "three_star": "3-star, 100 kg",
+    "three_star_50kg": "3-star, 50 kg",
+    "three_star_1000kg": "3-star, 1000 kg",
+    "six_bead": "6 beads (3 x 1000 kg, 3 x 10 kg)",
+}
+#: What the paper says became of disturbed motions: key of MOTIONS, held, turns, words, where.
+FATES = (
+    ("figure_06", False, "lost at 2.0", "Figs. 6, 8a"),
+    ("figure_07", True, "restored in about 2 turns at 2.5", "Figs. 7, 8b"),
+    ("figure_10_2.5", False, "lost at 2.5", "Fig. 10a-c"),
+    ("figure_10_2.9", True, "restored in about 2 turns at 2.9", "Fig. 10d-f"),
+    ("figure_11_1.5", False, "lost at 1.5", "Fig. 11a-c"),
+    ("figure_11_2.2", True, "restored in about 3 turns at 2.2", "Fig. 11d-f"),
+    ("figure_14_1.5", False, "lost at 1.5", "Figs. 14a-b, 15a-b"),
+    ("figure_14_2.2", True, "held at 2.2, nearly circular after about 10 turns", "Fig. 14c-d"),
+)
+
+
+def system(name, damping_n_s_per_m):
+    """The System of a shipped scenario with another damping."""
+    return scenario.load(name).build({"damping_n_s_per_m": damping_n_s_per_m})
+
+
+def slack_edge(damping_n_s_per_m, of):
+    """Closed form of the first slack of a rigid, damped 3-star (clockwise), the mass cancels.
+
+    Taut while w^2 + 2w + 3/2 >= 3 / sqrt(1 + (2 w Omega tau)^2), tau = C L / EA.
+    """
+    tau = damping_n_s_per_m * of.rest_length_m[0] / of.axial_stiffness_n[0]
+
+    def excess(w):
+        return w * w + 2 * w + 1.5 - 3.0 / math.hypot(1.0, 2 * w * of.orbit_rate_rad_s * tau)
+
+    return brentq(excess, -2.6, -1.5)
+
+
+def static_stretch_m(mass_kg, rate):
+    """Mean stretch of a tether of the rigid 3-star, T L / EA, T = (M L / 3) Omega^2 [...] [m]."""
+    of = system("three_star", 0.0)
+    length, stiffness = of.rest_length_m[0], of.axial_stiffness_n[0]
+    tension = mass_kg * length / 3 * of.orbit_rate_rad_s**2 * (rate * rate - 2 * rate + 1.5)
+    return tension * length / stiffness
+
+
+def identify_damping(cancelled):
+    """For each claimed critical rate of a 3-star the damping that yields it, by the true motion.
+
+    The root in C of the smallest stretch that a tether of the corrected periodic motion has in a
+    turn at the claimed rate.
+    """
+    found = {}
+    for name, rate in CRITICAL.items():
+        if name == "six_bead":
+            continue
+
+        def stretch(damping, name=name, rate=rate):
+            of = system(name, damping)
+            start = compute_floquet(of, rate, certify=False, cancelled=cancelled).state
+            motion = Propagator(of, rate, start)
+            position_m, velocity_m_s = motion.sample(np.linspace(0, motion.period_s, 721))
+            length_m, _, _ = tether_state(of, position_m, velocity_m_s)
+            return float(np.min(length_m - of.rest_length_m))
+
+        ends = stretch(300.0), stretch(2050.0)
+        damping = None
+        if ends[0] * ends[1] < 0:
+            damping = round(brentq(stretch, 300.0, 2050.0, xtol=0.05), 1)
+        found[name] = {
+            "rate": rate,
+            "damping": damping,
+            "closed_form": damping and slack_edge(damping, system(name, damping)),
+            "least_stretch_m": ends[0],
+        }
+    return found
+
+
+def boundaries(name, damping, ratio_from, ratio_to, cancelled, tolerance=2e-3):
+    """Critical rates by the true monodromy, as [rate, cause, stable side]."""
+    rates = find_critical_rates(
+        system(name, damping), ratio_from, ratio_to, tolerance, 0.1, cancelled=cancelled
+    )
+    return [[r.spin_rate_ratio, r.cause, r.stable_side] for r in rates]
+
+
+def simulated_edges(name, damping, cancelled, disturbance_m=DISTURBANCE_M, which=None):
+    """Bisect, to 0.005, where motions disturbed for 12 turns are held, and where they also settle.
+
+    Returns
+    -------
+    dict
+        Rates "held" and "settled" (measured from the centre of mass) and "origin" (held, measured
+        from the frame's origin), or those of them in `which`; None where no rate between 1.9 and
+        3.4 separates lost from held.
+    """
+    turns = 12
+    of = system(name, damping)
+
+    @functools.cache
+    def run(rate):
+        return confirm(
+            of, rate, disturbance_m=disturbance_m, seed=SEED, turns=turns, cancelled=cancelled
+        )
+
+    measures = {
+        "held": lambda w: run(w).held,
+        "settled": lambda w: run(w).held and run(w).turns_to_settle < turns,
+        "origin": lambda w: run(w).deviation_from_origin < LOST,
+    }
+    return {measure: bisect(measures[measure]) for measure in which or measures}
+
+
+def bisect(good, slow=-1.9, fast=-3.4, half_width=0.005):
+    """The rate between `slow`, where `good` fails, and `fast`, where it holds; else None."""
+    if good(slow) or not good(fast):
+        return None
+    while slow - fast > 2 * half_width:
+        middle = 0.5 * (slow + fast)
+        slow, fast = (slow, middle) if good(middle) else (middle, fast)
+    return 0.5 * (slow + fast)
+
+
+def damping_scan(name, dampings, cancelled):
+    """How the critical rate depends on the damping: monodromy, simulation, closed form."""
+    rows = []
+    for damping in dampings:
+        found = boundaries(name, damping, -2.75, -1.95, cancelled)
+        rows.append(
+            {
+                "damping": damping,
+                "closed_form": slack_edge(damping, system(name, damping)),
+                "first_slack": min((r for r, c, _ in found if c == "first slack"), default=None),
+                "stability": max((r for r, c, _ in found if c != "first slack"), default=None),
+                "simulated": simulated_edges(name, damping, cancelled),
+            }
+        )
+    return rows
+
+
+def none_beyond(name, dampings, cancelled, fastest=-3.5, slowest=-2.62):
+    """Rates, faster than any first slack, that are not stable or not always taut: [C, w] pairs."""
+    rates = np.append(np.arange(fastest, slowest, 0.08), [-2.79, slowest])
+    bad = []
+    for damping in dampings:
+        for rate in rates:
+            result = compute_floquet(
+                system(name, damping), float(rate), certify=False, cancelled=cancelled
+            )
+            if result.switches or result.verdict not in ("asymptotically stable", "neutral"):
+                bad.append([damping, float(rate)])
+    return {"rates": rates.size, "dampings": list(dampings), "bad": bad}
+
+
+def curve(name, damping, cancelled):
+    """Moduli of true and frozen multipliers against the rate, denser around the claimed one."""
+    claimed = CRITICAL[name]
+    rates = np.concatenate([np.arange(-3.5, -1.15, 0.1), claimed + np.linspace(-0.12, 0.12, 9)])
+    rows = []
+    for rate in np.unique(np.round(rates, 6)):
+        of = system(name, damping)
+        frozen = compute_floquet(of, rate, "frozen", cancelled=cancelled)
+        row = {"rate": float(rate), "frozen": frozen.max_modulus}
+        row["frozen_nontrivial"] = frozen.max_modulus_nontrivial
+        true = compute_floquet(of, rate, certify=False, cancelled=cancelled)
+        shape = (abs(m) for m, f in zip(true.multiplier, true.family) if f == "shape")
+        row |= {
+            "verdict": true.verdict,
+            "nontrivial": true.max_modulus_nontrivial,
+            "shape": max(shape, default=math.nan),
+            "switches": true.switches,
+        }
+        rows.append(row)
+    return rows
+
+
+def fate(motion, damping, cancelled):
+    """Verdict of both Floquet methods and of the disturbed simulation for one recorded motion."""
+    of = system(motion.scenario, damping)
+    true = compute_floquet(of, motion.rate, cancelled=cancelled)
+    frozen = compute_floquet(of, motion.rate, "frozen", cancelled=cancelled)
+    seen = confirm(
+        of,
+        motion.rate,
+        disturbance_m=motion.disturbance_m or DISTURBANCE_M,
+        seed=SEED,
+        turns=motion.turns,
+        cancelled=cancelled,
+    )
+    return {
+        "frozen": frozen.max_modulus,
+        "frozen_verdict": frozen.verdict,
+        "verdict": true.verdict,
+        "nontrivial": true.max_modulus_nontrivial,
+        "closure": true.closure_residual,
+        "held": seen.held,
+        "settle": seen.turns_to_settle,
+        "from_centre": seen.deviation_from_centre,
+        "from_origin": seen.deviation_from_origin,
+    }
+
+
+def fates_by_damping(motion, dampings, cancelled):
+    """Whether the disturbed motion is held and settles, at each damping."""
+    rows = []
+    for damping in dampings:
+        seen = confirm(
+            system(motion.scenario, damping),
+            motion.rate,
+            disturbance_m=motion.disturbance_m,
+            seed=SEED,
+            turns=motion.turns,
+            cancelled=cancelled,
+        )
+        rows.append([damping, seen.held, seen.turns_to_settle])
+    return rows
+
+
+def oscillation(recording, from_turn=2.0):
+    """What lengths and shape of a recorded motion do after `from_turn`.
+
+    The shape is the kink of each tether in its middle: the signed angle in the orbital plane
+    between its halves, at the bead; 0 where the tether is straight.
+
+    Returns
+    -------
+    dict
+        "length_first", "length_last": largest |l / L - 1| of the first and the last turn;
+        "settled_share": part of the last four turns in which every |l / L - 1| is below 1e-3;
+        "kink_first_deg", "kink_last_deg": peak-to-peak kink in a turn after `from_turn` and in the
+        last; "peaks": strongest spectral lines of the kink as [cycles per turn, amplitude in deg].
+    """
+    turns = recording.turns
+    strain = np.abs(recording.length_m / recording.rest_length_m - 1.0).max(axis=1)
+    position = recording.position_m
+    beads = np.flatnonzero(~recording.is_satellite)
+    n = position.shape[1]
+    x, y, _ = np.moveaxis(position[:, beads] - position[:, (beads - 1) % n], 2, 0)
+    x_next, y_next, _ = np.moveaxis(position[:, (beads + 1) % n] - position[:, beads], 2, 0)
+    kink = np.degrees(np.arctan2(x * y_next - y * x_next, x * x_next + y * y_next))
+    first = (turns >= from_turn) & (turns < from_turn + 1)
+    last = turns >= turns[-1] - 1
+    late = kink[turns >= from_turn]
+    window = np.hanning(len(late))[:, None]
+    spectrum = 2 * np.abs(np.fft.rfft((late - late.mean(axis=0)) * window, axis=0)) / window.sum()
+    per_turn = np.fft.rfftfreq(len(late), turns[1] - turns[0])
+    line = spectrum.max(axis=1)
+    peaks = 1 + np.flatnonzero((line[1:-1] > line[:-2]) & (line[1:-1] > line[2:]))
+    peaks = peaks[np.argsort(-line[peaks])][:3]
+    return {
+        "length_first": float(strain[turns < 1].max()),
+        "length_last": float(strain[last].max()),
+        "settled_share": float(np.mean(strain[turns >= turns[-1] - 4] < 1e-3)),
+        "kink_first_deg": float(np.ptp(kink[first], axis=0).max()),
+        "kink_last_deg": float(np.ptp(kink[last], axis=0).max()),
+        "peaks": [[float(per_turn[i]), float(line[i])] for i in peaks],
+    }

@@ -1,0 +1,1 @@
+"""Recordings shown in Rerun. No ROS needed."""

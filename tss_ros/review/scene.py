@@ -1,0 +1,273 @@
+"""What Rerun shows of a formation, whether from a bag or while it runs.
+
+Satellites with labels and trails, tethers coloured by tension and grey when slack, plots, and the
+stability results, on the timelines `sim_time`, `milliturns` (thousandths of a turn) and `step`.
+"""
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+APPLICATION = "tss_ros"
+#: Seconds of wall time that one turn takes when the viewer plays a recording.
+PLAYBACK_TURN_S = 12.0
+#: Tensions remembered to tell what is typical.
+RECENT_TENSIONS = 10_000
+#: Steps sent at a time: what a viewer takes in without a pause.
+BATCH_STEPS = 1 << 15
+
+# Light enough for the viewer's dark theme, distinct for every kind of colour vision.
+SERIES = np.array(
+    [0x56B4E9FF, 0xE69F00FF, 0x00B282FF, 0xCC79A7FF, 0xF0E442FF, 0xD55E00FF], dtype=np.uint32
+)
+LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION = (60, 130, 255), (250, 225, 90), (235, 60, 30)
+SLACK, BEADS, AXES = (125, 125, 125), (200, 200, 200), (150, 150, 150)
+TETHER_WIDTH, SLACK_WIDTH = rr.Radius.ui_points(2.5), rr.Radius.ui_points(1.0)
+TRAIL_WIDTH = rr.Radius.ui_points(1.0)
+
+#: Title, names of the curves (an attribute of Recording, or the names), values (an attribute).
+PLOTS = {
+    "deviation": ("Deviation from the undisturbed radius [-]", "bead_name", "deviation"),
+    "length": ("Tether length [m]", "tether_name", "length_m"),
+    "tension": ("Tether tension [N]", "tether_name", "tension_n"),
+    "energy": ("Energy in the orbit frame [J]", ("energy",), "energy_j"),
+    "centre_of_mass": ("Centre of mass [m]", ("x", "y (up)", "z"), "centre_of_mass_m"),
+}
+
+
+class Scene:
+    """One formation in a Rerun recording stream.
+
+    Parameters
+    ----------
+    stream : rerun.RecordingStream
+    recording : tss_ros.bags.recording.Recording
+        Says what the formation is; its steps are for `send`.
+    root : str
+        Entity under which all is put, ending in "/" if not empty.
+    """
+
+    def __init__(self, stream, recording, root=""):
+        self.root = root
+        self.turn_s = recording.turn_s
+        self.has_stability = False
+        self._stream = stream
+        self._satellites = np.flatnonzero(recording.is_satellite)
+        self._others = np.flatnonzero(~recording.is_satellite)
+        self._ends = recording.tether_ends
+        self.trails = {
+            i: f"{root}formation/trails/{rr.escape_entity_path_part(recording.bead_name[i])}"
+            for i in self._satellites
+        }
+        self._last_position_m = None
+        self._recent_tension_n = np.empty(0)
+        self._send_static(recording)
+
+    def send(self, recording):
+        """Send the steps of `recording`, which follow those sent before."""
+        turns = recording.turns
+        curves = {
+            plot: np.reshape(getattr(recording, attribute), (len(turns), -1))
+            for plot, (_, _, attribute) in PLOTS.items()
+        }
+        for first in range(0, len(turns), BATCH_STEPS):
+            steps = slice(first, first + BATCH_STEPS)
+            when = [
+                rr.TimeColumn("sim_time", duration=recording.t_s[steps]),
+                rr.TimeColumn("milliturns", sequence=np.rint(1e3 * turns[steps]).astype(int)),
+                rr.TimeColumn("step", sequence=recording.step[steps]),
+            ]
+            self._send_formation(when, recording, steps)
+            for plot, values in curves.items():
+                columns = rr.Scalars.columns(scalars=values[steps].ravel())
+                path = f"{self.root}plots/{plot}"
+                self._stream.send_columns(path, when, columns.partition(_lengths(values[steps])))
+        if recording.stability:
+            self.send_stability(recording.stability)
+
+    def send_stability(self, results):
+        """Show messages FloquetResult as a table, instead of those sent before."""
+        self.has_stability = True
+        text = stability_table(results)
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self._stream.log(f"{self.root}stability", document, static=True)
+
+    def _send_formation(self, when, recording, steps):
+        position_m, taut = recording.position_m[steps], recording.taut[steps]
+        tension_n = recording.tension_n[steps]
+        self._send_points(when, "satellites", position_m[:, self._satellites])
+        if self._others.size:
+            self._send_points(when, "beads", position_m[:, self._others])
+        self._send_trails(when, position_m)
+        self._send_tethers(when, position_m, tension_n, taut)
+        if self._last_position_m is None:
+            self._send_axes(position_m[0])
+        self._last_position_m = position_m[-1]
+
+    def _log(self, path, *what):
+        self._stream.log(self.root + path, *what, static=True)
+
+    def _send_static(self, recording):
+        log = self._log
+        log("formation", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+        log(
+            "formation/satellites",
+            rr.Points3D.from_fields(
+                labels=[recording.bead_name[i] for i in self._satellites],
+                colors=_colours(self._satellites),
+                radii=rr.Radius.ui_points(7),
+                show_labels=True,
+            ),
+        )
+        if self._others.size:
+            dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(3), colors=BEADS)
+            log("formation/beads", dots)
+        names = list(recording.tether_name)
+        log("formation/tethers", rr.LineStrips3D.from_fields(labels=names, show_labels=False))
+        for i, path in self.trails.items():
+            style = rr.LineStrips3D.from_fields(colors=_colours([i]), radii=TRAIL_WIDTH)
+            self._stream.log(path, style, static=True)
+        for plot, (_, names, _) in PLOTS.items():
+            names = list(getattr(recording, names) if isinstance(names, str) else names)
+            colours = _colours(range(len(names)))
+            log(f"plots/{plot}", rr.SeriesLines(names=names, colors=colours, widths=1.5))
+
+    def _send_points(self, when, name, position_m):
+        columns = rr.Points3D.columns(positions=position_m.reshape(-1, 3))
+        path = f"{self.root}formation/{name}"
+        self._stream.send_columns(path, when, columns.partition(_lengths(position_m)))
+
+    def _send_trails(self, when, position_m):
+        first = position_m[:1] if self._last_position_m is None else self._last_position_m[None]
+        previous = np.concatenate([first, position_m[:-1]])
+        for i, path in self.trails.items():
+            strips = np.stack([previous[:, i], position_m[:, i]], axis=1)
+            self._stream.send_columns(path, when, rr.LineStrips3D.columns(strips=strips))
+
+    def _send_tethers(self, when, position_m, tension_n, taut):
+        strips = position_m[:, self._ends].reshape(-1, 2, 3)
+        columns = rr.LineStrips3D.columns(
+            strips=strips,
+            colors=self._tension_colours(tension_n, taut).reshape(-1, 3),
+            radii=np.where(taut.ravel(), TETHER_WIDTH, SLACK_WIDTH),
+        )
+        path = f"{self.root}formation/tethers"
+        self._stream.send_columns(path, when, columns.partition(_lengths(tension_n)))
+
+    def _tension_colours(self, tension_n, taut):
+        """Colours from a tenth to ten times the tension typical of what was sent lately."""
+        known = np.concatenate([self._recent_tension_n, tension_n[taut & (tension_n > 0)]])
+        self._recent_tension_n = known[-RECENT_TENSIONS:]
+        typical = np.median(known) if known.size else 1.0
+        decade = np.log10(np.maximum(tension_n, 1e-3 * typical) / typical)
+        anchors = np.array([LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION])
+        colour = np.stack([np.interp(decade, (-1, 0, 1), anchor) for anchor in anchors.T], axis=-1)
+        return np.where(taut[..., None], colour, SLACK).astype(np.uint8)
+
+    def _send_axes(self, position_m):
+        self.reach_m = 1.2 * np.linalg.norm(position_m, axis=-1).max()
+        axes = rr.Arrows3D(
+            vectors=[(0, self.reach_m / 6, 0), (-self.reach_m / 6, 0, 0)],
+            labels=["up", "flight"],
+            colors=AXES,
+            radii=TRAIL_WIDTH,
+        )
+        self._log("formation/axes", axes)
+
+
+def layout(scenes, titles):
+    """The viewer's layout: a formation with its plots beside it, or several formations in columns.
+
+    Parameters
+    ----------
+    scenes : list of Scene
+        Each with at least one step sent.
+    titles : list of str
+        Name of each formation's view.
+
+    Returns
+    -------
+    rerun.blueprint.Blueprint
+    """
+    columns = []
+    for scene, title in zip(scenes, titles):
+        views = [_formation_view(scene, title)]
+        if scene.has_stability:
+            origin = f"{scene.root}stability"
+            views.append(rrb.TextDocumentView(origin=origin, name="Stability results"))
+        plots = rrb.Vertical(*(_plot_view(scene, plot) for plot in PLOTS))
+        if len(scenes) == 1:
+            left = rrb.Vertical(*views, row_shares=[3, 1][: len(views)])
+            columns.append(rrb.Horizontal(left, plots, column_shares=(3, 2)))
+        else:
+            columns.append(rrb.Vertical(rrb.Tabs(*views), plots, row_shares=(2, 3)))
+    pace = min(scene.turn_s for scene in scenes) / PLAYBACK_TURN_S
+    return rrb.Blueprint(
+        columns[0] if len(columns) == 1 else rrb.Horizontal(*columns),
+        rrb.TimePanel(timeline="sim_time", state="collapsed", playback_speed=pace),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+def _formation_view(scene, title):
+    # Trails end at the next satellite, so that those on one circle do not cover each other.
+    part = scene.turn_s / len(scene.trails)
+    now = rrb.TimeRangeBoundary.cursor_relative()
+    trail = rrb.VisibleTimeRanges(
+        [
+            rrb.VisibleTimeRange(
+                "sim_time", start=rrb.TimeRangeBoundary.cursor_relative(seconds=-part), end=now
+            ),
+            rrb.VisibleTimeRange(
+                "milliturns",
+                start=rrb.TimeRangeBoundary.cursor_relative(seq=-1000 // len(scene.trails)),
+                end=now,
+            ),
+        ]
+    )
+    eye = rrb.EyeControls3D(
+        position=(0, -0.6 * scene.reach_m, 2.2 * scene.reach_m),
+        look_target=(0, 0, 0),
+        eye_up=(0, 1, 0),
+    )
+    return rrb.Spatial3DView(
+        origin=f"{scene.root}formation",
+        overrides=dict.fromkeys(scene.trails.values(), trail),
+        line_grid=False,
+        name=title,
+        eye_controls=eye,
+    )
+
+
+def _plot_view(scene, plot):
+    everything = rr.TimeRange(
+        start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+    )
+    return rrb.TimeSeriesView(
+        origin=f"{scene.root}plots/{plot}",
+        name=PLOTS[plot][0],
+        axis_x=rrb.TimeAxis(view_range=everything),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+    )
+
+
+def stability_table(results):
+    """Messages FloquetResult as a Markdown table, by rate."""
+    rows = ["| rate/Omega | max modulus | of shape and tilt | verdict |", "|---:|---:|---:|---|"]
+    for r in sorted(results, key=lambda result: result.spin_rate_ratio):
+        verdict = r.verdict or r.message
+        rows.append(
+            f"| {r.spin_rate_ratio:.5g} | {r.max_modulus:.6f} | {r.max_modulus_nontrivial:.6f} "
+            f"| {verdict} |"
+        )
+    return "\n".join(rows)
+
+
+def _lengths(values):
+    """How many instances each of k steps has, as `send_columns` wants it."""
+    return np.full(values.shape[0], values.shape[1])
+
+
+def _colours(indices):
+    return SERIES[np.asarray(indices) % len(SERIES)]

@@ -1,0 +1,166 @@
+"""Rerun's viewer, reached by this machine only: on a screen, in a browser, or unseen."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import rerun_cli
+from rerun.experimental import ViewerClient
+
+from tss_ros.core import TssError
+
+START_S = 20.0
+#: How long [s] an unseen viewer may take to load a recording or to draw a picture.
+PATIENCE_S = 60.0
+
+
+class Viewer:
+    """A viewer process.
+
+    Parameters
+    ----------
+    *options : str
+        For Rerun's command line.
+
+    Attributes
+    ----------
+    url : str
+        Where recording streams connect to.
+
+    Raises
+    ------
+    TssError
+        If it does not start.
+    """
+
+    def __init__(self, *options):
+        port = free_port()
+        self.url = f"rerun+http://127.0.0.1:{port}/proxy"
+        # The viewer itself, not the Python script around it, which would not pass signals on.
+        program = Path(rerun_cli.__file__).with_name("rerun")
+        command = [program, "--bind", "127.0.0.1", "--port", str(port), *options]
+        # Rerun sends no usage statistics where CI is set; in its own session, Ctrl-C is not for it.
+        environment = {**os.environ, "CI": "1", "RUST_LOG": "error"}
+        self.process = subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        deadline = time.monotonic() + START_S
+        while not _listens(port):
+            if self.process.poll() is not None:
+                raise TssError(
+                    f"the Rerun viewer ended with status {self.process.returncode} "
+                    "before it could be used"
+                )
+            if time.monotonic() > deadline:
+                self.process.terminate()
+                raise TssError(f"the Rerun viewer did not answer within {START_S:g} s")
+            time.sleep(0.05)
+
+    def wait(self):
+        """Return when the user has closed it; if this is interrupted, close it."""
+        try:
+            if self.process.wait():
+                raise TssError(f"the Rerun viewer ended with status {self.process.returncode}")
+        finally:
+            self.close()
+
+    def close(self):
+        """End it."""
+        self.process.terminate()
+        self.process.wait()
+
+
+def on_screen():
+    """A viewer in a window, which stays open when this process ends.
+
+    Raises
+    ------
+    TssError
+        If there is no screen.
+    """
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise TssError(
+            "there is no screen for the Rerun viewer (DISPLAY and WAYLAND_DISPLAY are not set); "
+            "`review BAG` needs none with --web, --png FILE, --video FILE or --save FILE"
+        )
+    return Viewer()
+
+
+def in_browser():
+    """A server for browsers on this machine, and the address of its page."""
+    port = free_port()
+    viewer = Viewer("--serve-web", "--web-viewer-port", str(port), "--server-memory-limit", "50%")
+    return viewer, f"http://127.0.0.1:{port}/?url={viewer.url.replace('+', '%2B')}"
+
+
+@contextlib.contextmanager
+def unseen(file, width, height):
+    """A viewer without a window that has loaded a Rerun file: yields its control.
+
+    Parameters
+    ----------
+    file : Path
+    width, height : int
+        Of its pictures [pixels].
+
+    Raises
+    ------
+    TssError
+        If it cannot draw here or fails.
+    """
+    viewer = None
+    try:
+        viewer = Viewer("--headless", "--window-size", f"{width}x{height}")
+        client = ViewerClient.connect(viewer.url)
+        loading = client.open(str(file.absolute())).loading
+        deadline = time.monotonic() + PATIENCE_S
+        while loading and time.monotonic() < deadline:
+            loading = client.open(str(file.absolute())).loading
+        client.run_command("ui.toggle_top_panel")  # which shows nothing about the recording
+        yield client
+    except (TssError, RuntimeError, AttributeError, ConnectionError) as error:
+        raise TssError(
+            f"the Rerun viewer did not draw: {error}; without a graphics card it needs a software "
+            "one (on Debian and Ubuntu: sudo apt install mesa-vulkan-drivers)"
+        ) from error
+    finally:
+        if viewer is not None:
+            viewer.close()
+
+
+def connect(stream, url):
+    """Connect, after making sure that somebody listens: Rerun itself would wait in silence.
+
+    Raises
+    ------
+    TssError
+        If nobody does.
+    """
+    try:
+        address = urlsplit(url)
+        socket.create_connection((address.hostname, address.port), timeout=START_S).close()
+        stream.connect_grpc(url)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise TssError(
+            f"no Rerun viewer answers at {url!r} ({error}); "
+            "its address looks like rerun+http://127.0.0.1:9876/proxy"
+        ) from error
+
+
+def free_port():
+    """A port on which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
+
+
+def _listens(port):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0

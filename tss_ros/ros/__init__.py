@@ -1,0 +1,1 @@
+"""What all nodes share: start and end, parameters, topics, messages."""

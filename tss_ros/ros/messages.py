@@ -1,0 +1,404 @@
+"""Between the core's arrays and ROS messages; nothing else knows both."""
+
+import array
+import json
+import math
+import platform
+import sys
+from importlib.metadata import version
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, TransformStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+from std_msgs.msg import ColorRGBA, Header
+from tss_interfaces.msg import (
+    BeadStates,
+    Confirmation,
+    CriticalRate,
+    FloquetResult,
+    Result,
+    SimulationEvent,
+    SimulationState,
+    SimulationStatus,
+    SystemDescription,
+    TetherStates,
+)
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tss_ros.scenarios.scenario import read_text
+
+#: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
+FRAME_ID, INERTIAL_FRAME_ID = "orbit", "inertial"
+#: Fields of the bead cloud, all float32.
+CLOUD_FIELDS = ("x", "y", "z", "deviation", "speed_m_s")
+#: Sizes of what viewers draw, over the mean tether length between two satellites.
+SATELLITE_SIZE, BEAD_SIZE, TETHER_WIDTH = 0.04, 0.015, 0.004
+#: Colours (red, green, blue) of tethers: slack, and 256 shades up to twice the undisturbed tension.
+SLACK = (0.5, 0.5, 0.5)
+TENSION_SCALE = np.column_stack(
+    [
+        np.interp(np.linspace(0, 2, 256), range(3), anchors)
+        for anchors in ((0.1, 1, 0.9), (0.3, 0.9, 0.1), (1, 0.2, 0.1))
+    ]
+)
+
+
+def stamp(time_ns):
+    """Simulation time [ns] as builtin_interfaces/Time."""
+    return Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+
+
+def clock(time_ns):
+    """The message of /clock."""
+    return Clock(clock=stamp(time_ns))
+
+
+def system_description(
+    system,
+    spin_rate_ratio,
+    reference_radius_m,
+    options,
+    run=0,
+    first_step=0,
+    time_ns=0,
+    frame_id=FRAME_ID,
+):
+    """What stays the same during a run.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+    reference_radius_m : ndarray, shape (n,)
+        Undisturbed initial distances [m], the zero of Eq. (53).
+    options : dict
+        The simulator's parameters; at least `scenario`, `disturbance_m`, `disturbance_seed` and
+        `publish_period_s`.
+    run, first_step, time_ns : int
+        Number of the run, its first step and the simulation time [ns] of that.
+    frame_id : str
+        Name of the orbit frame.
+
+    Returns
+    -------
+    SystemDescription
+    """
+    return SystemDescription(
+        header=Header(stamp=stamp(time_ns), frame_id=frame_id),
+        scenario=options["scenario"],
+        bead_name=list(system.bead_name),
+        is_satellite=system.is_satellite.tolist(),
+        mass_kg=_doubles(system.mass_kg),
+        tether_name=list(system.tether_name),
+        tether_ends=array.array("I", system.tether_ends.ravel().tolist()),
+        rest_length_m=_doubles(system.rest_length_m),
+        axial_stiffness_n=_doubles(system.axial_stiffness_n),
+        damping_n_s_per_m=_doubles(system.damping_n_s_per_m),
+        orbit_altitude_m=system.orbit_altitude_m,
+        orbit_rate_rad_s=system.orbit_rate_rad_s,
+        spin_rate_ratio=spin_rate_ratio,
+        reference_radius_m=_doubles(reference_radius_m),
+        disturbance_m=options["disturbance_m"],
+        disturbance_seed=options["disturbance_seed"],
+        publish_period_s=options["publish_period_s"],
+        run=run,
+        first_step=first_step,
+        parameters_json=json.dumps(options),
+        scenario_yaml=read_text(options["scenario"]),
+        versions=[
+            *(f"{name} {version(name)}" for name in ("tss_ros", "numpy", "scipy", "numba")),
+            f"Python {platform.python_version()}",
+            f"{platform.system()} {platform.machine()}",
+        ],
+    )
+
+
+def simulation_state(state):
+    """A state, by its number, as a message."""
+    return SimulationState(state=int(state))
+
+
+def result(code, text):
+    """What became of a request, as a message."""
+    return Result(result=int(code), error_message=text)
+
+
+def simulation_event(time_ns, step, run, kind, text, frame_id):
+    """What was done to the motion from outside."""
+    header = Header(stamp=stamp(time_ns), frame_id=frame_id)
+    return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
+
+
+def simulation_status(
+    wall_ns, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
+):
+    """How the simulator is doing; times in ns, `state` by its number."""
+    return SimulationStatus(
+        stamp=stamp(wall_ns),
+        state=simulation_state(state),
+        simulation_time=stamp(time_ns),
+        step=step,
+        run=run,
+        time_scale=time_scale,
+        real_time_factor=real_time_factor,
+        step_cost_s=step_cost_s,
+        message=message,
+    )
+
+
+def diagnostics(name, status, slack, recorders):
+    """Diagnostics of a simulator.
+
+    Parameters
+    ----------
+    name : str
+        Fully qualified name of the node.
+    status : SimulationStatus
+    slack : sequence of str
+        Names of the tethers that are slack.
+    recorders : dict of str to (int, int)
+        By output: steps that each recorder is behind, and messages it has lost.
+
+    Returns
+    -------
+    diagnostic_msgs.msg.DiagnosticArray
+    """
+    playing = status.state.state == SimulationState.STATE_PLAYING
+    if status.message:
+        motion = DiagnosticStatus.ERROR, status.message
+    elif playing and status.real_time_factor < 0.9 * status.time_scale:
+        motion = DiagnosticStatus.WARN, "slower than time_scale asks for"
+    else:
+        names = {SimulationState.STATE_STOPPED: "stopped", SimulationState.STATE_PAUSED: "paused"}
+        motion = DiagnosticStatus.OK, names.get(status.state.state, "playing")
+    lost = sum(lost for _, lost in recorders.values())
+    recording = (
+        (DiagnosticStatus.WARN, f"{lost} messages were lost")
+        if lost
+        else (DiagnosticStatus.OK, "recording" if recorders else "no recorder")
+    )
+    tethers = (
+        (DiagnosticStatus.WARN, f"{len(slack)} slack")
+        if slack
+        else (DiagnosticStatus.OK, "all taut")
+    )
+    tasks = {
+        "motion": (
+            motion,
+            {
+                "real-time factor": f"{status.real_time_factor:.4g}",
+                "time_scale": f"{status.time_scale:.4g}",
+                "step cost [ms]": f"{1e3 * status.step_cost_s:.4g}",
+                "step": str(status.step),
+                "run": str(status.run),
+            },
+        ),
+        "tethers": (tethers, {"slack": ", ".join(slack)}),
+        "recorders": (
+            recording,
+            {
+                output: f"{behind} steps behind, {lost} messages lost"
+                for output, (behind, lost) in recorders.items()
+            },
+        ),
+    }
+    return DiagnosticArray(
+        header=Header(stamp=status.stamp),
+        status=[
+            DiagnosticStatus(
+                name=f"{name}: {task}",
+                hardware_id=name,
+                level=level,
+                message=text,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+            for task, ((level, text), values) in tasks.items()
+        ],
+    )
+
+
+def transforms(system, time_ns, position_m, prefix=""):
+    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
+
+    Parameters
+    ----------
+    system : System
+    time_ns : int
+    position_m : ndarray, shape (n, 3)
+    prefix : str
+
+    Returns
+    -------
+    list of geometry_msgs.msg.TransformStamped
+        n + 1 of them. The orbit frame turns about z with the orbital rate, y pointing away from the
+        Earth; beads have no attitude.
+    """
+    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
+    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
+    names = [FRAME_ID, *system.bead_name]
+    header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
+    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
+    frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
+    frames[0].transform.rotation.z = math.sin(angle / 2.0)
+    frames[0].transform.rotation.w = math.cos(angle / 2.0)
+    for frame, (x, y, z) in zip(frames, [centre_m.tolist(), *position_m.tolist()]):
+        place = frame.transform.translation
+        place.x, place.y, place.z = x, y, z
+    return frames
+
+
+class StepMessages:
+    """The messages of one step, made once and refilled: to build them anew costs ten times as much.
+
+    Parameters
+    ----------
+    system : System
+    tension_n : ndarray, shape (m,)
+        Undisturbed tensions [N], for the colours of the tethers.
+    frame_id : str
+        Name of the orbit frame.
+    """
+
+    def __init__(self, system, tension_n, frame_id=FRAME_ID):
+        self._header = Header(frame_id=frame_id)
+        self._bead_states = BeadStates(header=self._header, name=list(system.bead_name))
+        self._tether_states = TetherStates(header=self._header, name=list(system.tether_name))
+        self._tether_lengths = JointState(header=self._header, name=list(system.tether_name))
+        self._bead_cloud = PointCloud2(
+            header=self._header,
+            height=1,
+            width=system.n,
+            fields=[
+                PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+                for i, name in enumerate(CLOUD_FIELDS)
+            ],
+            is_bigendian=sys.byteorder == "big",
+            point_step=4 * len(CLOUD_FIELDS),
+            row_step=4 * len(CLOUD_FIELDS) * system.n,
+            is_dense=True,
+        )
+        self._make_markers(system)
+        self._full_scale_n = 2.0 * max(tension_n.max(), sys.float_info.min)
+
+    def bead_states(self, step, time_ns, position_m, velocity_m_s, deviation):
+        """BeadStates from arrays of shapes (n, 3), (n, 3) and (n,)."""
+        message = self._bead_states
+        self._header.stamp = stamp(time_ns)
+        message.step = step
+        message.position_m = _doubles(position_m)
+        message.velocity_m_s = _doubles(velocity_m_s)
+        message.deviation = _doubles(deviation)
+        return message
+
+    def tether_states(self, step, time_ns, length_m, tension_n, taut):
+        """TetherStates from arrays of shape (m,)."""
+        message = self._tether_states
+        self._header.stamp = stamp(time_ns)
+        message.step = step
+        message.length_m = _doubles(length_m)
+        message.tension_n = _doubles(tension_n)
+        message.taut = taut.tolist()
+        return message
+
+    def tether_lengths(self, time_ns, length_m, tension_n):
+        """JointState: position is the length [m], effort the tension [N]."""
+        message = self._tether_lengths
+        self._header.stamp = stamp(time_ns)
+        message.position = _doubles(length_m)
+        message.effort = _doubles(tension_n)
+        return message
+
+    def bead_cloud(self, time_ns, position_m, velocity_m_s, deviation):
+        """PointCloud2 with `CLOUD_FIELDS` for every bead."""
+        message = self._bead_cloud
+        self._header.stamp = stamp(time_ns)
+        speed_m_s = np.sqrt((velocity_m_s**2).sum(axis=1))
+        points = np.column_stack([position_m, deviation, speed_m_s]).astype(np.float32)
+        message.data = array.array("B", points.tobytes())
+        return message
+
+    def clearing_markers(self, time_ns, position_m, tension_n, taut):
+        """The same as `markers`, after taking away what was drawn for another system."""
+        markers = self.markers(time_ns, position_m, tension_n, taut).markers
+        return MarkerArray(markers=[Marker(header=self._header, action=Marker.DELETEALL), *markers])
+
+    def markers(self, time_ns, position_m, tension_n, taut):
+        """MarkerArray: satellites and beads as spheres, tethers as lines coloured by tension."""
+        self._header.stamp = stamp(time_ns)
+        for point, (x, y, z) in zip(self._points, position_m.tolist()):
+            point.x, point.y, point.z = x, y, z
+        place = np.clip(255.0 * tension_n / self._full_scale_n, 0.0, 255.0).astype(int)
+        shades = np.where(taut[:, None], TENSION_SCALE[place], SLACK)
+        for colour, (red, green, blue) in zip(self._colours, shades.tolist()):
+            colour.r, colour.g, colour.b = red, green, blue
+        return self._markers
+
+    def _make_markers(self, system):
+        # Markers share the points and colours, which `markers` moves and changes in place.
+        self._points = [Point() for _ in range(system.n)]
+        self._colours = [ColorRGBA(a=1.0) for _ in range(system.m)]
+        length_m = system.rest_length_m.sum() / system.is_satellite.sum()
+        satellites = [self._points[i] for i in np.flatnonzero(system.is_satellite)]
+        beads = [self._points[i] for i in np.flatnonzero(~system.is_satellite)]
+        tethers = self._marker(
+            "tethers", Marker.LINE_LIST, TETHER_WIDTH * length_m, ColorRGBA(a=1.0)
+        )
+        tethers.points = [self._points[i] for i in system.tether_ends.ravel()]
+        tethers.colors = [colour for colour in self._colours for _ in range(2)]
+        white, yellow = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0), ColorRGBA(r=1.0, g=0.8, b=0.2, a=1.0)
+        markers = [
+            self._marker("satellites", Marker.SPHERE_LIST, SATELLITE_SIZE * length_m, white),
+            tethers,
+        ]
+        markers[0].points = satellites
+        if beads:
+            markers.append(self._marker("beads", Marker.SPHERE_LIST, BEAD_SIZE * length_m, yellow))
+            markers[-1].points = beads
+        self._markers = MarkerArray(markers=markers)
+
+    def _marker(self, namespace, kind, size_m, colour):
+        marker = Marker(
+            header=self._header, ns=namespace, type=kind, action=Marker.ADD, color=colour
+        )
+        marker.scale.x = marker.scale.y = marker.scale.z = float(size_m)
+        marker.pose.orientation.w = 1.0
+        return marker
+
+
+def floquet_result(result, confirmation=None):
+    """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
+    return FloquetResult(
+        multiplier_real=_doubles(result.multiplier.real),
+        multiplier_imag=_doubles(result.multiplier.imag),
+        confirmation=[_same_fields(Confirmation, confirmation)] if confirmation else [],
+        **{
+            name: getattr(result, name)
+            for name in FloquetResult.get_fields_and_field_types()
+            if not name.startswith(("multiplier", "confirmation"))
+        },
+    )
+
+
+def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
+    """The message for a rate that could not be computed: NaN wherever there is no number."""
+    kinds = FloquetResult.get_fields_and_field_types()
+    unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
+    known = {"spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin_rate_rad_s}
+    return FloquetResult(message=message, **{**unknown, **known})
+
+
+def critical_rate(rate):
+    """A core CriticalRate as a message; all fields have the same names."""
+    return _same_fields(CriticalRate, rate)
+
+
+def _same_fields(kind, value):
+    return kind(**{name: getattr(value, name) for name in kind.get_fields_and_field_types()})
+
+
+def _doubles(values):
+    """A flat float64[]; filling a message from array.array skips its element-by-element checks."""
+    return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

@@ -1,0 +1,1 @@
+"""Nodes started, recorded and ended together; the demo."""

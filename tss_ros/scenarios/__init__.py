@@ -1,0 +1,1 @@
+"""Systems as YAML files."""

@@ -1,0 +1,306 @@
+"""Who asks what of a running simulation, and when its next state goes out; knows no ROS."""
+
+import enum
+import math
+import threading
+import time
+from collections import deque
+from concurrent.futures import Future
+
+from tss_ros.core import IntegrationError, TssError
+from tss_ros.simulator.pacing import MAX_LAG_S, Meter
+
+#: Most steps that one request may ask for.
+MOST_STEPS = 10_000
+#: How often [s] to look whether a recorder has connected, or fallen silent.
+RECORDER_CHECK_S = 0.05
+#: How often [s] `on_idle` is called at least.
+IDLE_S = 0.1
+#: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
+DRAIN_S, FINISH_S = 0.3, 10.0
+
+
+class State(enum.IntEnum):
+    """As in SimulationState."""
+
+    STOPPED, PLAYING, PAUSED, QUITTING = range(4)
+
+
+class Code(enum.IntEnum):
+    """As in Result, and above 100 as in SetSimulationState."""
+
+    FEATURE_UNSUPPORTED, OK, NOT_FOUND, INCORRECT_STATE, OPERATION_FAILED = range(5)
+    ALREADY_IN_TARGET_STATE, STATE_TRANSITION_ERROR = 101, 102
+
+
+class Refused(TssError):
+    """A request that is not carried out; `code` says of what kind the reason is."""
+
+    def __init__(self, code, text):
+        super().__init__(text)
+        self.code = code
+
+
+class Control:
+    """Runs a simulation in a thread: plays, pauses, steps, and does what requests ask in between.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    pace : Pace
+    flow : FlowControl
+    wake : threading.Event
+        Set whenever there may be something to do.
+    begin : callable
+        Nothing is published until it returns true.
+    publish : callable
+        Called with step and Row.
+    on_idle : callable
+        Called while it waits, at least each IDLE_S; returns how soon [s] it wants the next call.
+    logger : rclpy logger
+    play : bool
+        Whether to play or to be paused at the beginning.
+    batch : bool
+        Whether a motion that cannot be continued is the end, as nobody is there to reset it.
+    """
+
+    def __init__(self, simulation, pace, flow, wake, begin, publish, on_idle, logger, play, batch):
+        self.state = State.PLAYING if play else State.PAUSED
+        self.failure = ""
+        self.step, self.run = -1, 0
+        self.meter = Meter()
+        self.simulation = simulation
+        self._pace, self._flow, self._wake, self._begin = pace, flow, wake, begin
+        self._publish, self._on_idle, self._logger = publish, on_idle, logger
+        self._batch = batch
+        self._requests, self._lock = deque(), threading.Lock()
+        self._begun = self._stopping = self._ended = False
+        # Until then, or until its state is out, a new run waits for recorders to have the old one.
+        self._drain_until = 0.0
+        self._changing = []  # requests that are answered when the next state is out
+        self._steps_left, self._steps_asked, self._stepping = 0, 0, None
+
+    # --- for any thread
+
+    def request(self, work, *arguments):
+        """Have `work(*arguments)` called in between two steps.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Of None, once what was asked for is done and published; of Refused or another TssError.
+        """
+        answer = Future()
+        with self._lock:
+            if self._ended:
+                answer.set_exception(Refused(Code.INCORRECT_STATE, "the simulation has ended"))
+            else:
+                self._requests.append((answer, work, arguments))
+        self._wake.set()
+        return answer
+
+    def stop(self):
+        """Make `run_until_end` return soon."""
+        self._stopping = True
+        self._wake.set()
+
+    # --- what requests may ask for; in the simulation's thread only
+
+    def set_state(self, answer, target):
+        """Play, pause or quit."""
+        if target == self.state:
+            raise Refused(Code.ALREADY_IN_TARGET_STATE, f"it is {target.name.lower()} already")
+        if target == State.PLAYING and self.failure:
+            raise Refused(Code.STATE_TRANSITION_ERROR, f"{self.failure}; reset first")
+        self._end_stepping(f"{target.name.lower()} was asked for")
+        self.state = target
+        self._pace.restart()
+        answer.set_result(None)
+
+    def take_steps(self, answer, steps):
+        """Publish so many steps of a paused simulation."""
+        if self.state != State.PAUSED:
+            raise Refused(
+                Code.INCORRECT_STATE, f"it is {self.state.name.lower()}; stepping needs paused"
+            )
+        if self._stepping:
+            raise Refused(Code.INCORRECT_STATE, "another request is stepping")
+        if not 1 <= steps <= MOST_STEPS:
+            raise Refused(
+                Code.OPERATION_FAILED, f"steps is {steps}; allowed: a whole number from 1 to 10000"
+            )
+        if self.failure:
+            raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
+        self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
+
+    def stop_and_reset(self, answer, make_setup):
+        """Begin anew, and stand still there."""
+        if self.state == State.STOPPED:
+            raise Refused(Code.ALREADY_IN_TARGET_STATE, "it is stopped already")
+        self.reset(answer, make_setup, time=True)
+        self.state = State.STOPPED
+
+    def reset(self, answer, make_setup, time):
+        """Begin the motion anew with `make_setup()`, unless None, and time at 0, if `time`."""
+        self.simulation.reset(make_setup and make_setup(), time)
+        if make_setup:
+            self.failure = ""
+        self._begin_run(answer)
+
+    def restore(self, answer, file):
+        """Continue from a snapshot."""
+        try:
+            self.simulation.restore(file)
+        except FileNotFoundError:
+            raise Refused(Code.NOT_FOUND, f"there is no snapshot {file!r:.200}") from None
+        self.failure = ""
+        self._begin_run(answer)
+
+    def disturb(self, answer, offset_m, velocity_m_s):
+        """Displace and push the beads."""
+        self.simulation.disturb(offset_m, velocity_m_s)
+        self.failure = ""
+        self._changing.append(answer)
+
+    def save(self, answer, file):
+        """Write a snapshot."""
+        self.simulation.save(file)
+        answer.set_result(None)
+
+    # --- the simulation's thread
+
+    def run_until_end(self):
+        """Publish states until the last, or until `stop`, and let recorders have them.
+
+        Raises
+        ------
+        IntegrationError
+            If the motion cannot be continued and `batch` is true.
+        """
+        try:
+            while not self._stopping and self.state != State.QUITTING:
+                self._wake.clear()
+                self._serve()
+                if self.simulation.at_end and not self._changing:
+                    break
+                wait_s = self._wait_s()
+                if wait_s > 0.0:
+                    self._wake.wait(min(wait_s, self._on_idle(), IDLE_S))
+                else:
+                    self._publish_next()
+            self._finish()
+        finally:
+            self._end()
+
+    def _serve(self):
+        while self._requests:
+            answer, work, arguments = self._requests.popleft()
+            try:
+                work(answer, *arguments)
+            except Exception as error:
+                answer.set_exception(error)
+
+    def _wait_s(self):
+        """How long [s] until the next state may go out; 0 or less: now."""
+        playing = self.state == State.PLAYING and not self.failure
+        hurry = self._changing or self._stepping or self.step < 0
+        if not (playing or hurry):
+            return math.inf
+        if not self._begun:
+            if not self._begin():
+                return RECORDER_CHECK_S
+            self._begun = True
+            self._started = time.monotonic()
+        if not self.simulation.ready:
+            return math.inf
+        if not self._flow.ready(drain=time.monotonic() < self._drain_until):
+            return IDLE_S
+        if hurry:
+            return 0.0
+        wait_s = self._pace.wait_s(self.simulation.next_time_s)
+        if wait_s < -MAX_LAG_S:
+            self._logger.warning(
+                f"time_scale {self._pace.time_scale:g} is faster than this machine simulates or "
+                "records",
+                throttle_duration_sec=10.0,
+            )
+            self._pace.restart()
+        return wait_s
+
+    def _publish_next(self):
+        begun, before_ns = time.monotonic(), self.simulation.row.time_ns
+        changed = bool(self._changing) or self.step < 0
+        try:
+            row = self.simulation.take()
+        except IntegrationError as error:
+            self._fail(error)
+            return
+        self.step += 1
+        self._publish(self.step, row)
+        self._flow.published = self.step
+        if changed:
+            self._drain_until = 0.0
+            self._pace.restart()
+            answers, self._changing = self._changing, []
+            for answer in answers:
+                answer.set_result(None)
+            return
+        cost_s = time.monotonic() - begun + self.simulation.integration_s
+        self.meter.add((row.time_ns - before_ns) / 1e9, cost_s)
+        if self._stepping:
+            self._steps_left -= 1
+            if not self._steps_left:
+                answer, self._stepping = self._stepping, None
+                answer.set_result(None)
+
+    def _fail(self, error):
+        if self._batch:
+            raise error
+        self.failure = str(error)
+        self._logger.error(f"{error}; it is paused and waits for a reset")
+        self.state = State.PAUSED
+        self._end_stepping(self.failure)
+
+    def _begin_run(self, answer):
+        self._end_stepping("the motion began anew")
+        self.run += 1
+        self._drain_until = time.monotonic() + DRAIN_S
+        self._changing.append(answer)
+
+    def _end_stepping(self, why):
+        if self._stepping:
+            made = self._steps_asked - self._steps_left
+            answer, self._stepping = self._stepping, None
+            answer.set_exception(
+                Refused(
+                    Code.OPERATION_FAILED, f"{made} of {self._steps_asked} steps were taken: {why}"
+                )
+            )
+
+    def _finish(self):
+        """Let the last steps reach the recorders."""
+        if self._stopping or self.step < 0:
+            return
+        wall_s = time.monotonic() - self._started
+        turns = self.simulation.row.time_ns / 1e9 / self.simulation.setup.turn_s
+        self._logger.info(
+            f"{self.step + 1} steps, {turns:.2f} turns, in {wall_s:.2f} s; "
+            f"tethers switched between slack and taut {self.simulation.switches} times"
+        )
+        deadline = time.monotonic() + FINISH_S
+        while not self._flow.ready(drain=True) and not self._stopping:
+            if time.monotonic() > deadline:
+                self._logger.warning("a recorder did not confirm the last steps")
+                return
+            self._wake.clear()
+            self._on_idle()
+            self._wake.wait(IDLE_S)
+
+    def _end(self):
+        with self._lock:
+            self._ended = True
+        ended = Refused(Code.INCORRECT_STATE, "the simulation has ended")
+        waiting = [answer for answer, *_ in self._requests] + self._changing
+        for answer in waiting + [self._stepping] * bool(self._stepping):
+            answer.set_exception(ended)
+        self.simulation.close()

@@ -1,0 +1,192 @@
+"""The simulator's services: what they check, ask of the simulation, and answer."""
+
+import traceback
+
+import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+from tss_interfaces.srv import (
+    Disturb,
+    GetSimulationState,
+    ResetSimulation,
+    RestoreSnapshot,
+    SaveSnapshot,
+    SetSimulationState,
+    StepSimulation,
+)
+
+from tss_ros.core import State, TssError, disturbed
+from tss_ros.ros import messages
+from tss_ros.simulator.control import Code, Refused
+from tss_ros.simulator.control import State as ControlState
+
+#: Largest offset [m] and change of velocity [m/s] in a Disturb request.
+MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
+
+
+class SimulationServices:
+    """Offers `~/set_simulation_state` and the others on a node.
+
+    Parameters
+    ----------
+    node : TssNode
+    control : Control
+    make_setup : callable
+        Makes the Setup that the parameters describe.
+    on_event : callable
+        Told kind and text of every change of the motion, in the simulation's thread.
+    on_answer : callable
+        Called before every answer.
+    """
+
+    def __init__(self, node, control, make_setup, on_event, on_answer):
+        self._node, self._control, self._make_setup = node, control, make_setup
+        self._on_event, self._on_answer = on_event, on_answer
+        # Requests that wait for the simulation hold up neither each other nor anything else.
+        group = ReentrantCallbackGroup()
+        for kind, name, callback in (
+            (SetSimulationState, "set_simulation_state", self._set_state),
+            (GetSimulationState, "get_simulation_state", self._get_state),
+            (StepSimulation, "step_simulation", self._step),
+            (ResetSimulation, "reset_simulation", self._reset),
+            (Disturb, "disturb", self._disturb),
+            (SaveSnapshot, "save_snapshot", self._save),
+            (RestoreSnapshot, "restore_snapshot", self._restore),
+        ):
+            node.create_service(kind, f"~/{name}", callback, callback_group=group)
+
+    def _get_state(self, _, response):
+        response.state = messages.simulation_state(self._control.state)
+        response.result = messages.result(Code.OK, "")
+        self._on_answer()
+        return response
+
+    async def _set_state(self, request, response):
+        target = request.state.state
+        if target == ControlState.STOPPED:
+            return await self._ask(response, self._do_stop)
+        if target in tuple(ControlState):
+            return await self._ask(response, self._control.set_state, ControlState(target))
+        return await self._ask(response, _refuse, f"state is {target}; allowed: 0 to 3")
+
+    async def _step(self, request, response):
+        return await self._ask(response, self._control.take_steps, request.steps)
+
+    async def _reset(self, request, response):
+        kind = type(request)
+        scope = request.scope or kind.SCOPE_ALL
+        spawned = scope == kind.SCOPE_SPAWNED
+        if spawned or (scope != kind.SCOPE_ALL and not 0 < scope < 8):
+            text = f"scope is {scope}; allowed: 0, 255, or bits 1 (time) and 2 (state)"
+            return await self._ask(response, _refuse, text, Code.FEATURE_UNSUPPORTED)
+        time, state = bool(scope & kind.SCOPE_TIME), bool(scope & kind.SCOPE_STATE)
+        return await self._ask(response, self._do_reset, time, state)
+
+    async def _disturb(self, request, response):
+        return await self._ask(response, self._do_disturb, request)
+
+    async def _save(self, request, response):
+        return await self._ask(response, self._control.save, request.file)
+
+    async def _restore(self, request, response):
+        return await self._ask(response, self._do_restore, request.file)
+
+    async def _ask(self, response, work, *arguments):
+        """Have the simulation's thread do it, and answer with what became of it."""
+        done = Future()
+        done.add_done_callback(lambda _: self._node.executor.wake())
+        self._control.request(work, *arguments).add_done_callback(done.set_result)
+        error = (await done).exception()
+        if error is None:
+            response.result = messages.result(Code.OK, "")
+        elif isinstance(error, TssError):
+            response.result = messages.result(
+                getattr(error, "code", Code.OPERATION_FAILED), str(error)
+            )
+            self._node.get_logger().debug(f"request refused: {error}")
+        else:
+            # A mistake of ours must not take the node away from those who ask next.
+            text = f"internal error: {type(error).__name__}: {error}"
+            response.result = messages.result(Code.OPERATION_FAILED, text)
+            shown = "".join(traceback.format_exception(error))
+            self._node.get_logger().error(f"request failed: {shown}")
+        self._on_answer()
+        return response
+
+    # --- in the simulation's thread
+
+    def _do_stop(self, answer):
+        try:
+            self._control.stop_and_reset(answer, self._make_setup)
+        except Refused:
+            raise
+        except TssError as error:
+            raise Refused(Code.STATE_TRANSITION_ERROR, str(error)) from error
+        self._on_event("reset", "time and state, stopped")
+
+    def _do_reset(self, answer, time, state):
+        self._control.reset(answer, self._make_setup if state else None, time)
+        what = [name for name, asked in (("time", time), ("state", state)) if asked]
+        self._on_event("reset", " and ".join(what))
+
+    def _do_restore(self, answer, file):
+        self._control.restore(answer, file)
+        self._on_event("restore", f"snapshot {file}")
+
+    def _do_disturb(self, answer, request):
+        if request.bead:
+            offset_m, velocity_m_s, text = self._bead_disturbance(request)
+        else:
+            offset_m, velocity_m_s, text = self._random_disturbance(request)
+        self._control.disturb(answer, offset_m, velocity_m_s)
+        self._on_event("disturb", text)
+
+    def _bead_disturbance(self, request):
+        system = self._control.simulation.setup.system
+        if request.bead not in system.bead_name:
+            raise Refused(
+                Code.NOT_FOUND,
+                f"bead {request.bead!r:.80} does not exist; the beads are "
+                f"{', '.join(system.bead_name):.200}",
+            )
+        if request.random_offset_m:
+            raise TssError(
+                f"random_offset_m is {request.random_offset_m:g}; allowed: 0 where a bead is named"
+            )
+        index = system.bead_name.index(request.bead)
+        offset_m, impulse_n_s = (
+            np.array([v.x, v.y, v.z]) for v in (request.offset_m, request.impulse_n_s)
+        )
+        velocity_m_s = impulse_n_s / system.mass_kg[index]
+        for name, values, limit in (
+            ("offset_m", offset_m, MAX_OFFSET_M),
+            ("impulse_n_s over the bead's mass", velocity_m_s, MAX_VELOCITY_M_S),
+        ):
+            if not np.all(np.abs(values) <= limit):
+                raise TssError(
+                    f"{name} is {values.tolist()}; allowed: -{limit:g} to {limit:g} in each"
+                )
+        if not (offset_m.any() or impulse_n_s.any()):
+            raise TssError("offset_m and impulse_n_s are zero; allowed: at least one that is not")
+        unit = (np.arange(system.n) == index)[:, None]
+        shown = f"offset {offset_m.tolist()} m, impulse {impulse_n_s.tolist()} N s"
+        return unit * offset_m, unit * velocity_m_s, f"{request.bead}: {shown}"
+
+    def _random_disturbance(self, request):
+        vectors = (request.offset_m, request.impulse_n_s)
+        if any(value != 0.0 for v in vectors for value in (v.x, v.y, v.z)):
+            raise TssError("offset_m and impulse_n_s need the name of a bead; bead is ''")
+        size, seed = request.random_offset_m, request.seed
+        if not 0.0 < size <= MAX_OFFSET_M:
+            raise TssError(
+                f"random_offset_m is {size:g}; allowed: a number above 0 to {MAX_OFFSET_M:g}"
+            )
+        if seed < 0:
+            raise TssError(f"seed is {seed}; allowed: a whole number from 0")
+        still = np.zeros_like(self._control.simulation.row.position_m)
+        offset_m = disturbed(State(still, still), size, seed).position_m
+        return offset_m, 0.0, f"all: random offsets of norm {size:g} m, seed {seed}"
+
+
+def _refuse(_, text, code=Code.OPERATION_FAILED):
+    raise Refused(code, text)

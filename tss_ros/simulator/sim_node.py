@@ -1,0 +1,279 @@
+"""The simulator node: publishes a formation's motion step by step, and lets others control it."""
+
+import math
+import threading
+import time
+
+import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+
+from tss_ros.core import TssError
+from tss_ros.ros import messages, parameters
+from tss_ros.ros.node import TssNode, run
+from tss_ros.ros.topics import create_publisher, read_topics
+from tss_ros.simulator.backpressure import FlowControl
+from tss_ros.simulator.control import Control
+from tss_ros.simulator.pacing import Pace
+from tss_ros.simulator.services import SimulationServices
+from tss_ros.simulator.simulation import Setup, Simulation
+
+#: /clock is published at most this often [1/s of wall time], as faster starves those who follow it,
+#: and at least this often [s], as those who come while time stands still must learn it, too.
+CLOCK_RATE_HZ, CLOCK_PERIOD_S = 200.0, 0.1
+#: /tf is published at most this often [1/s of wall time].
+TF_RATE_HZ = 50.0
+#: How often [s] to look whether the last recorder has left, and to report.
+RECORDER_CHECK_S, STATUS_PERIOD_S, DIAGNOSTICS_PERIOD_S = 0.25, 0.5, 1.0
+#: How long [s] a finished simulator waits for those who listen on each topic.
+LISTENER_FINISH_S = 0.5
+PROGRESS_PERIOD_S = 10.0
+#: Topics that are made only for those who listen.
+FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
+
+
+class SimNode(TssNode):
+    """Publishes a step each `publish_period_s` of simulated time; see parameters.SIMULATOR."""
+
+    def __init__(self):
+        super().__init__("sim_node")
+        self._options = parameters.read_parameters(self, parameters.SIMULATOR)
+        setup = self._make_setup()
+        self._frame_id = self._options["frame_prefix"] + messages.FRAME_ID
+        topics = read_topics()
+        optional = {"/clock": "publish_clock", "/tf": "publish_tf"}
+        self._publisher = {
+            name: create_publisher(self, topic)
+            for name, topic in topics.items()
+            if topic.publisher == "sim_node" and self._options.get(optional.get(name), True)
+        }
+        self._recorded = [name for name in self._publisher if topics[name].recorded]
+        depth = min(
+            self._publisher[name].qos_profile.depth
+            for name in self._recorded
+            if topics[name].durability == "volatile"
+        )
+        wake = threading.Event()
+        self._flow = FlowControl(max(1, depth // 4), self.get_logger(), wake.set)
+        self._pace = Pace(self._options["time_scale"])
+        self._control = Control(
+            Simulation(setup, self._options["turns"], wake.set),
+            self._pace,
+            self._flow,
+            wake,
+            begin=self._may_begin,
+            publish=self._publish,
+            on_idle=self._keep_clock,
+            logger=self.get_logger(),
+            play=not self._options["start_paused"],
+            batch=self._options["turns"] > 0.0,
+        )
+        status = topics["recorder_status"]
+        self._recorder_status = self.create_subscription(
+            status.message_class, status.name, self._flow.on_status, status.qos
+        )
+        SimulationServices(
+            self, self._control, self._make_setup, self._on_event, self._report_status
+        )
+        self.every(RECORDER_CHECK_S, self._check_recorders)
+        self.every(STATUS_PERIOD_S, self._report_regularly)
+        self.every(DIAGNOSTICS_PERIOD_S, self._report_diagnostics)
+        self._measured = (0.0, math.nan)
+        self._clock_ns, self._clock_due, self._tf_due = None, -math.inf, -math.inf
+        self._progress = time.monotonic()
+        self._events = []
+        self._describe(0, 0)
+
+    def start(self):
+        """Begin to simulate in a thread of its own."""
+        self._thread = threading.Thread(target=self._simulate, daemon=True)
+        self._thread.start()
+
+    def stop(self):
+        """End the simulation."""
+        self._control.stop()
+        self._thread.join(timeout=1.0)
+
+    def set_parameters_atomically(self, parameter_list):
+        """Check before anything is set, so that what is refused is refused with our reason."""
+        try:
+            options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
+            parameters.build_system(*_system_of(options))
+        except TssError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        outcome = super().set_parameters_atomically(parameter_list)
+        if outcome.successful:
+            self._options = options
+            self._pace.time_scale = options["time_scale"]
+            # rclpy forgets what is set to nothing; here that means "as the scenario says".
+            for parameter in parameters.SIMULATOR:
+                if not self.has_parameter(parameter.name):
+                    self.declare_parameter(parameter.name, None, parameter.descriptor)
+        return outcome
+
+    def _make_setup(self):
+        return Setup.of(self._options, *parameters.build_system(*_system_of(self._options)))
+
+    # --- in the simulation's thread
+
+    def _simulate(self):
+        try:
+            self._control.run_until_end()
+            for name in ("tether_states", "bead_states"):
+                self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
+        except Exception as error:
+            if self.context.ok():
+                self.finish(error)
+        else:
+            if self.context.ok():
+                self.finish()
+
+    def _may_begin(self):
+        if not self._options["wait_for_recorder"]:
+            return True
+        self.get_logger().info("waiting for a recorder", once=True)
+        return any(recorder.matched for recorder in self._flow.recorders.values()) and all(
+            self._publisher[name].get_subscription_count() for name in self._recorded
+        )
+
+    def _on_event(self, kind, text):
+        self._events.append((kind, text))
+        self.get_logger().info(f"{kind}: {text}")
+
+    def _describe(self, step, time_ns):
+        """Announce a run that begins with this step."""
+        setup = self._control.simulation.setup
+        self._run = self._control.run
+        self._messages = messages.StepMessages(setup.system, setup.tension_n, self._frame_id)
+        self._publisher["system_description"].publish(
+            messages.system_description(
+                setup.system,
+                setup.spin_rate_ratio,
+                setup.reference_radius_m,
+                setup.options,
+                self._run,
+                step,
+                time_ns,
+                self._frame_id,
+            )
+        )
+        self.get_logger().info(
+            f"{setup.options['scenario']}: {setup.system.is_satellite.sum()} satellites, "
+            f"{setup.system.n} beads in all, {setup.system.m} tethers, "
+            f"spin {setup.spin_rate_ratio:g} Omega, one turn {setup.turn_s:.1f} s"
+        )
+
+    def _publish(self, step, row):
+        publisher = self._publisher
+        new_run = self._run != self._control.run
+        if new_run:
+            self._describe(step, row.time_ns)
+        while self._events:
+            kind, text = self._events.pop(0)
+            publisher["simulation_events"].publish(
+                messages.simulation_event(row.time_ns, step, self._run, kind, text, self._frame_id)
+            )
+        make, time_ns = self._messages, row.time_ns
+        publisher["tether_states"].publish(
+            make.tether_states(step, time_ns, row.length_m, row.tension_n, row.taut)
+        )
+        watched = [name for name in FOR_VIEWERS if publisher[name].get_subscription_count()]
+        if "markers" in watched:
+            markers = make.clearing_markers if new_run else make.markers
+            publisher["markers"].publish(markers(time_ns, row.position_m, row.tension_n, row.taut))
+        if "bead_cloud" in watched:
+            publisher["bead_cloud"].publish(
+                make.bead_cloud(time_ns, row.position_m, row.velocity_m_s, row.deviation)
+            )
+        if "tether_lengths" in watched:
+            publisher["tether_lengths"].publish(
+                make.tether_lengths(time_ns, row.length_m, row.tension_n)
+            )
+        # Last, so that a recorder that has got this one has got the whole step.
+        publisher["bead_states"].publish(
+            make.bead_states(step, time_ns, row.position_m, row.velocity_m_s, row.deviation)
+        )
+        self._publish_frames(row)
+        self._keep_clock()
+        if time.monotonic() - self._progress > PROGRESS_PERIOD_S:
+            self._progress = time.monotonic()
+            turns = time_ns / 1e9 / self._control.simulation.setup.turn_s
+            self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
+
+    def _publish_frames(self, row):
+        if "/tf" not in self._publisher or time.monotonic() < self._tf_due:
+            return
+        self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
+        frames = messages.transforms(
+            self._control.simulation.setup.system,
+            row.time_ns,
+            row.position_m,
+            self._options["frame_prefix"],
+        )
+        publisher = self._publisher["/tf"]
+        publisher.publish(publisher.msg_type(transforms=frames))
+
+    def _keep_clock(self):
+        """Publish /clock if it may and should be; return how soon [s] to look again."""
+        if "/clock" not in self._publisher or self._control.step < 0:
+            return CLOCK_PERIOD_S
+        now, time_ns = time.monotonic(), self._control.simulation.row.time_ns
+        wait_s = self._clock_due - now
+        if time_ns == self._clock_ns:
+            wait_s += CLOCK_PERIOD_S
+        if wait_s > 0.0:
+            return wait_s
+        self._publisher["/clock"].publish(messages.clock(time_ns))
+        self._clock_ns, self._clock_due = time_ns, now + 1.0 / CLOCK_RATE_HZ
+        return CLOCK_PERIOD_S
+
+    # --- in the executor's thread
+
+    def _check_recorders(self):
+        if not self._recorder_status.get_publisher_count():
+            self._flow.on_recorders_gone()
+
+    def _report_regularly(self):
+        self._measured = self._control.meter.read()
+        self._report_status()
+
+    def _report_status(self):
+        control = self._control
+        self._status = messages.simulation_status(
+            time.time_ns(),
+            control.state,
+            control.simulation.row.time_ns,
+            max(control.step, 0),
+            control.run,
+            self._pace.time_scale,
+            *self._measured,
+            control.failure,
+        )
+        self._publisher["simulation_status"].publish(self._status)
+
+    def _report_diagnostics(self):
+        simulation = self._control.simulation
+        names, row = simulation.setup.system.tether_name, simulation.row
+        published = self._flow.published
+        self._publisher["/diagnostics"].publish(
+            messages.diagnostics(
+                self.get_fully_qualified_name(),
+                self._status,
+                [names[i] for i in np.flatnonzero(~row.taut) if i < len(names)],
+                {
+                    output: (published - recorder.step, recorder.lost)
+                    for output, recorder in self._flow.recorders.items()
+                },
+            )
+        )
+
+
+def _system_of(options):
+    """Scenario and overrides among the options."""
+    names = [parameter.name for parameter in parameters.OVERRIDES]
+    return options["scenario"], {name: options[name] for name in names if name in options}
+
+
+def main():
+    """Executable `sim_node`."""
+    run(SimNode)

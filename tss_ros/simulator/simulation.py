@@ -1,0 +1,368 @@
+"""The motion a simulator publishes: integrated ahead in a thread, changed and kept on request."""
+
+import dataclasses
+import math
+import threading
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from tss_ros.core import (
+    Propagator,
+    State,
+    System,
+    TssError,
+    deviation,
+    disturbed,
+    initial_state,
+    tether_state,
+)
+from tss_ros.simulator import snapshot
+from tss_ros.simulator.snapshot import Checkpoint
+
+#: Simulation times are int32 seconds in every message.
+MAX_TIME_S = 2**31 - 1
+#: Most states integrated in one go, and most of them times beads.
+CHUNK_STEPS, CHUNK_BEAD_STEPS = 256, 8192
+#: Wall time [s] that one go should take: less is a waste, more keeps requests waiting.
+CHUNK_WALL_S = (0.05, 0.2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    options : dict
+        The simulator's parameters that it was made from, by name; `scenario`, `publish_period_s`,
+        `disturbance_m` and `disturbance_seed` among them.
+    system : System
+    spin_rate_ratio : float
+    start : State
+    reference_radius_m : ndarray, shape (n,)
+        Distances [m] from the centre before the disturbance, the zero of Eq. (53).
+    tension_n : ndarray, shape (m,)
+        Tensions [N] before the disturbance.
+    """
+
+    options: dict
+    system: System
+    spin_rate_ratio: float
+    start: State
+    reference_radius_m: np.ndarray
+    tension_n: np.ndarray
+
+    @classmethod
+    def of(cls, options, system, spin_rate_ratio):
+        """Find the initial configuration, Eqs. (50)-(54), and disturb it.
+
+        Raises
+        ------
+        TssError
+            If there is none for this system and rate.
+        """
+        steady = initial_state(system, spin_rate_ratio)
+        return cls(
+            options=options,
+            system=system,
+            spin_rate_ratio=spin_rate_ratio,
+            start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
+            reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
+            tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
+        )
+
+    @property
+    def publish_period_s(self):
+        """[s] simulated time between steps."""
+        return self.options["publish_period_s"]
+
+    @property
+    def turn_s(self):
+        """[s] duration of one spin turn."""
+        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
+
+    @property
+    def identity(self):
+        """Everything that must be equal for a snapshot to fit, by name."""
+        names = [f.name for f in dataclasses.fields(System) if f.name != "layout_m"]
+        values = {name: np.array(getattr(self.system, name)) for name in names}
+        values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
+        values["publish_period_s"] = np.array(self.publish_period_s)
+        return values
+
+
+class Row(NamedTuple):
+    """One state: time [ns]; per bead positions [m], velocities [m/s] and deviation [-]; per tether.
+
+    Shapes (n, 3), (n, 3), (n,) and, for length [m], tension [N] and taut, (m,).
+    """
+
+    time_ns: int
+    position_m: np.ndarray
+    velocity_m_s: np.ndarray
+    deviation: np.ndarray
+    length_m: np.ndarray
+    tension_n: np.ndarray
+    taut: np.ndarray
+
+
+class _Chunk(NamedTuple):
+    rows: list
+    end: Checkpoint
+    wall_s: float
+
+
+class _Trajectory:
+    """One continuous motion, sampled at index 0, 1, ... times the period, a chunk at a time.
+
+    That samples do not depend on how they are grouped lets the chunks be as large as time allows,
+    and lets a checkpoint continue bit for bit.
+    """
+
+    def __init__(self, setup, state, on_ready):
+        self._setup, self._on_ready = setup, on_ready
+        self._propagator = Propagator(setup.system, setup.spin_rate_ratio, state)
+        self._cancelled = threading.Event()
+        self._pool = ThreadPoolExecutor(max_workers=1)
+        self._rows, self._future = deque(), None
+        self._count = 1
+        self._before = self._after = self._checkpoint(0)
+        self.index = -1
+        self.wall_s_per_step = math.nan
+        self.last = math.inf
+
+    @property
+    def switches(self):
+        return self._propagator.switches
+
+    @property
+    def ready(self):
+        """Whether `take` returns at once."""
+        if not self._rows and self._future is None and self.index < self.last:
+            self._request()
+        return bool(self._rows) or (self._future is not None and self._future.done())
+
+    def take(self):
+        """The next state, as a Row without its time; waits for it when it must.
+
+        Raises
+        ------
+        IntegrationError
+            If the motion cannot be continued.
+        """
+        if not self._rows:
+            if self._future is None:
+                self._request()
+            self._use(self._future.result())
+            self._future = None
+            if self.index + len(self._rows) < self.last:
+                self._request()
+        self.index += 1
+        return self._rows.popleft()
+
+    def first(self, index=0):
+        """The state at `index`, the first one taken, computed from the checkpoint at once."""
+        start = self._before.index
+        chunk = self._integrate(start, index - start + 1)
+        self._use(chunk)
+        self._rows.clear()
+        self.index = index
+        return chunk.rows[-1]
+
+    def checkpoint(self):
+        """The newest checkpoint that is not later than the newest state taken."""
+        return self._after if self._after.index <= self.index else self._before
+
+    def resume(self, checkpoint):
+        """Put the integrator where a checkpoint was made, before anything is taken."""
+        for array, kept in zip(self._propagator._motion, checkpoint.arrays.values()):
+            array[...] = kept
+        self._before = self._after = checkpoint
+
+    def close(self):
+        """Give up what is being integrated, without waiting for it."""
+        self._cancelled.set()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _use(self, chunk):
+        self._rows.extend(chunk.rows)
+        self._before, self._after = self._after, chunk.end
+        self.wall_s_per_step = chunk.wall_s / len(chunk.rows)
+        shortest, longest = CHUNK_WALL_S
+        if chunk.wall_s < shortest:
+            limit = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // self._setup.system.n))
+            self._count = min(2 * self._count, limit)
+        elif chunk.wall_s > longest:
+            self._count = max(1, self._count // 2)
+
+    def _request(self):
+        first = self.index + 1 + len(self._rows)
+        count = int(min(self._count, self.last + 1 - first))
+        self._future = self._pool.submit(self._integrate, first, count)
+        self._future.add_done_callback(lambda _: self._on_ready())
+
+    def _integrate(self, first, count):
+        begun = time.monotonic()
+        times_s = np.arange(first, first + count) * self._setup.publish_period_s
+        position_m, velocity_m_s = self._propagator.sample(times_s, self._cancelled.is_set)
+        rows = zip(
+            position_m,
+            velocity_m_s,
+            deviation(position_m, self._setup.reference_radius_m),
+            *tether_state(self._setup.system, position_m, velocity_m_s),
+        )
+        end = self._checkpoint(first + count - 1)
+        return _Chunk(list(rows), end, time.monotonic() - begun)
+
+    def _checkpoint(self, index):
+        motion = self._propagator._motion  # all that the integrator remembers
+        return Checkpoint(index, {k: array.copy() for k, array in motion._asdict().items()})
+
+
+class Simulation:
+    """The motion of one system, state by state, with the changes that users may make to it.
+
+    Not for several threads at once. Every change takes effect at the newest state, `row`, and makes
+    `take` return that changed state next.
+
+    Parameters
+    ----------
+    setup : Setup
+    turns : float
+        Spin turns after which it ends; 0: when time cannot be told any more.
+    on_ready : callable
+        Called, in any thread, when states have become ready.
+    """
+
+    def __init__(self, setup, turns, on_ready):
+        self._turns, self._on_ready = turns, on_ready
+        self._trajectory = None
+        self._begin(setup, setup.start, 0)
+
+    @property
+    def ready(self):
+        """Whether `take` returns at once."""
+        return self._changed or self._trajectory.ready
+
+    @property
+    def at_end(self):
+        """Whether `row` is the last."""
+        return not self._changed and self._trajectory.index >= self._trajectory.last
+
+    @property
+    def next_time_s(self):
+        """Simulation time [s] of the state that `take` returns next."""
+        if self._changed:
+            return self.row.time_ns / 1e9
+        return self._time_ns(self._trajectory.index + 1) / 1e9
+
+    @property
+    def integration_s(self):
+        """[s] wall time that the integration of a state takes at present."""
+        return self._trajectory.wall_s_per_step
+
+    @property
+    def switches(self):
+        """Slack/taut switches since the last change of the motion, Eq. (5)."""
+        return self._trajectory.switches
+
+    def take(self):
+        """Go on to the next state and return it.
+
+        Raises
+        ------
+        IntegrationError
+            If the motion cannot be continued.
+        """
+        if self._changed:
+            self._changed = False
+        else:
+            state = self._trajectory.take()
+            self.row = Row(self._time_ns(self._trajectory.index), *state)
+        return self.row
+
+    def reset(self, setup=None, time=True):
+        """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
+        if setup is not None:
+            self._begin(setup, setup.start, 0 if time else self.row.time_ns)
+        elif time:
+            self._base_ns -= self.row.time_ns
+            self.row = self.row._replace(time_ns=0)
+            self._limit()
+        self._changed = True
+
+    def disturb(self, offset_m, velocity_m_s):
+        """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
+        state = State(self.row.position_m + offset_m, self.row.velocity_m_s + velocity_m_s)
+        self._begin(self.setup, state, self.row.time_ns)
+
+    def save(self, file):
+        """Write a snapshot.
+
+        Parameters
+        ----------
+        file : str
+            Path ending in .npz of a file to be made.
+
+        Raises
+        ------
+        TssError
+            If there is such a file already, or if it cannot be made.
+        """
+        place = {"index": self._trajectory.index, "base_ns": self._base_ns}
+        snapshot.write(file, self.setup.identity, place, self._trajectory.checkpoint())
+
+    def restore(self, file):
+        """Continue from a snapshot, time included.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        TssError
+            If it is no snapshot or one of another system.
+        """
+        place, checkpoint = snapshot.read(
+            file, self.setup.identity, self._trajectory.checkpoint(), CHUNK_STEPS
+        )
+        time_ns = place["base_ns"] + place["index"] * self.setup.publish_period_s * 1e9
+        if not 0 <= time_ns <= MAX_TIME_S * 1e9:
+            raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
+        trajectory = _Trajectory(self.setup, self.setup.start, self._on_ready)
+        trajectory.resume(checkpoint)
+        try:
+            state = trajectory.first(place["index"])
+        except TssError as error:
+            trajectory.close()
+            raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
+        self._continue(trajectory, place["base_ns"], state)
+
+    def close(self):
+        """Give up what is being integrated."""
+        self._trajectory.close()
+
+    def _begin(self, setup, state, base_ns):
+        trajectory = _Trajectory(setup, state, self._on_ready)
+        self.setup = setup
+        self._continue(trajectory, base_ns, trajectory.first())
+
+    def _continue(self, trajectory, base_ns, state):
+        if self._trajectory is not None:
+            self._trajectory.close()
+        self._trajectory, self._base_ns = trajectory, base_ns
+        self.row = Row(self._time_ns(trajectory.index), *state)
+        self._changed = True
+        self._limit()
+
+    def _limit(self):
+        end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)
+        steps = (end_s - self._base_ns / 1e9) / self.setup.publish_period_s
+        # The allowance keeps a last step that falls on the end of the last turn.
+        self._trajectory.last = math.floor(steps * (1.0 + 1e-12))
+
+    def _time_ns(self, index):
+        return self._base_ns + round(index * self.setup.publish_period_s * 1e9)

@@ -1,0 +1,1 @@
+"""The stability node, and the client that asks it."""

@@ -1,0 +1,318 @@
+"""Client of the stability node: spin rates in, a table, a CSV file and a plot out."""
+
+import argparse
+import csv
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.utilities import remove_ros_args
+from tss_interfaces.msg import Confirmation, FloquetResult
+from tss_interfaces.srv import ComputeFloquet
+
+from tss_ros import plots
+from tss_ros.core import TssError
+from tss_ros.ros.node import USER_ERRORS
+
+#: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
+GONE_S = 5.0
+#: Rates asked for at a time, so that progress shows and Ctrl-C is heard between the answers.
+BATCH = 4
+#: What must be small for a result to be right; a jordan_error is the root of such an error.
+ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
+#: Headings, and formats of what `flat` makes of a result.
+TABLE = (
+    ("rate/Omega", "{spin_rate_ratio:.6g}"),
+    ("period [s]", "{period_s:.1f}"),
+    ("max |rho|", "{max_modulus:.6f}"),
+    ("non-trivial", "{max_modulus_nontrivial:.6f}"),
+    ("verdict", "{verdict}"),
+    ("closure", "{closure_residual:.1e}"),
+    ("error", "{error:.1e}"),
+    ("message", "{message}"),
+)
+CONFIRMED_TABLE = (
+    *TABLE[:-1],
+    ("held", "{confirmation_held}"),
+    ("settled [turns]", "{confirmation_turns_to_settle:.1f}"),
+    ("growth", "{confirmation_growth_per_turn:.6f}"),
+    TABLE[-1],
+)
+
+
+def compute(
+    node,
+    service,
+    rates,
+    method="",
+    overrides=(),
+    on_wait=None,
+    patience_s=10.0,
+    confirm_turns=0,
+):
+    """Ask a stability node for the multipliers at some spin rates.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Spun here while the answers are awaited; must not be spinning elsewhere.
+    service : str
+        Name of the service, e.g. ``stability_node/compute_floquet``.
+    rates : sequence of float
+        Spin rates over orbital rate, in the orbit frame [-].
+    method : str
+        "" or "monodromy", or "frozen".
+    overrides : sequence of rcl_interfaces.msg.Parameter
+    on_wait : callable, optional
+        Called several times a second with the number of rates answered so far.
+    patience_s : float
+        How long to wait for the service to appear [s].
+    confirm_turns : int
+        Length of a disturbed simulation beside every verdict [turns]; 0 for none.
+
+    Returns
+    -------
+    list of tss_interfaces.msg.FloquetResult
+        In the order of `rates`.
+
+    Raises
+    ------
+    TssError
+        If no node answers, or if it refuses the request.
+    """
+    client = node.create_client(ComputeFloquet, service)
+    executor = SingleThreadedExecutor(context=node.context)
+    results = []
+
+    def wait():
+        rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
+        if on_wait:
+            on_wait(len(results))
+
+    try:
+        deadline = time.monotonic() + patience_s
+        while not client.service_is_ready():
+            if time.monotonic() > deadline:
+                raise TssError(
+                    f"no stability node answers on {client.service_name} within {patience_s:g} s; "
+                    "start it with: ros2 run tss_ros stability_node"
+                )
+            wait()
+        for first in range(0, len(rates), BATCH):
+            request = ComputeFloquet.Request(
+                spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
+                method=method,
+                overrides=list(overrides),
+                confirm_turns=confirm_turns,
+            )
+            answer = client.call_async(request)
+            seen = time.monotonic()
+            while not answer.done():
+                wait()
+                if client.service_is_ready():
+                    seen = time.monotonic()
+                if time.monotonic() - seen > GONE_S and not answer.done():
+                    raise TssError(f"the node of {client.service_name} ended before it answered")
+            if not answer.result().success:
+                raise TssError(answer.result().message)
+            results += answer.result().results
+        return results
+    finally:
+        executor.shutdown()
+        node.destroy_client(client)
+
+
+def flat(result):
+    """All fields of a result but the multipliers as a dict.
+
+    Those of its confirmation are named confirmation_*, NaN if there is none; `error` is the largest
+    of `ERRORS` that is known.
+    """
+    fields = FloquetResult.get_fields_and_field_types().items()
+    cells = {name: getattr(result, name) for name, kind in fields if "sequence" not in kind}
+    errors = [cells[f"{name}_error"] for name in ERRORS]
+    cells["error"] = max((e for e in errors if not math.isnan(e)), default=math.nan)
+    for name in Confirmation.get_fields_and_field_types():
+        values = [getattr(confirmation, name) for confirmation in result.confirmation]
+        cells[f"confirmation_{name}"] = values[0] if values else math.nan
+    return cells
+
+
+def format_table(results, columns=TABLE):
+    """The results as lines of aligned columns, with a heading.
+
+    Parameters
+    ----------
+    results : sequence of tss_interfaces.msg.FloquetResult
+    columns : sequence of (str, str)
+        Headings, and formats of what `flat` makes of a result.
+
+    Returns
+    -------
+    str
+    """
+    rows = [[heading for heading, _ in columns]]
+    cells = [flat(result) for result in results]
+    rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    left = {"verdict", "message"}
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if heading in left else cell.rjust(width)
+            for cell, width, (heading, _) in zip(row, widths, columns)
+        ).rstrip()
+        for row in rows
+    )
+
+
+def write_csv(results, path):
+    """Write the results, one rate per row, with the names of `flat` as heading."""
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(flat(FloquetResult())))
+        writer.writeheader()
+        writer.writerows(map(flat, results))
+
+
+def figure(results, method):
+    """The figure of `plots.stability` for these results."""
+    return plots.stability(
+        [result.spin_rate_ratio for result in results],
+        [result.max_modulus for result in results],
+        [result.max_modulus_nontrivial for result in results],
+        [result.verdict for result in results],
+        method or "monodromy",
+    )
+
+
+def main(argv=None):
+    """Executable `stability`.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if every rate was computed, 1 if not, 2 for a wrong command line, 130 when
+        interrupted.
+    """
+    argv = sys.argv if argv is None else ["stability", *argv]
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    try:
+        options = _parse(remove_ros_args(argv)[1:])
+        show = _progress_line(len(options.rates))
+        rclpy.init(args=argv)
+        node = rclpy.create_node("stability_client")
+        results = compute(
+            node,
+            f"{options.node}/compute_floquet",
+            options.rates,
+            options.method,
+            options.override,
+            show,
+            confirm_turns=options.confirm,
+        )
+        if show:
+            print(file=sys.stderr)
+        print(format_table(results, CONFIRMED_TABLE if options.confirm else TABLE))
+        if options.csv:
+            write_csv(results, options.csv)
+        if options.plot:
+            figure(results, options.method).savefig(options.plot)
+    except (*USER_ERRORS, NameValidationException, ValueError) as error:
+        print(f"stability: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    return 0 if all(result.verdict for result in results) else 1
+
+
+def _parse(arguments):
+    parser = argparse.ArgumentParser(
+        prog="stability",
+        description="Ask a running stability node whether a formation is stable.",
+        epilog="ROS arguments follow --ros-args.",
+    )
+    parser.add_argument(
+        "rates",
+        nargs="*",
+        type=float,
+        metavar="RATE",
+        help="spin rate over orbital rate, in the orbit frame; negative: clockwise",
+    )
+    parser.add_argument("--from", dest="first", type=float, metavar="RATE", help="range of rates")
+    parser.add_argument("--to", dest="last", type=float, metavar="RATE")
+    parser.add_argument("--count", type=int, default=11, help="rates in the range (default 11)")
+    parser.add_argument("--method", default="", help="monodromy (default) or frozen")
+    parser.add_argument(
+        "--override",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=_override,
+        metavar="NAME=VALUE",
+        help="a parameter that differs from the node's, e.g. satellite_mass_kg=50 or =50,60,70",
+    )
+    parser.add_argument(
+        "--confirm",
+        type=int,
+        default=0,
+        metavar="TURNS",
+        help="simulate each disturbed formation for so many turns beside its verdict",
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
+    )
+    parser.add_argument("--node", default="stability_node", help="default %(default)s")
+    # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
+    options = parser.parse_intermixed_args(
+        [f" {a}" if a.startswith("-") and _is_number(a) else a for a in arguments]
+    )
+    if (options.first is None) != (options.last is None):
+        parser.error("--from and --to go together")
+    if not 0 <= options.confirm < 2**32:
+        parser.error(f"--confirm is {options.confirm}; allowed: a number of turns, 0 for none")
+    if options.first is not None:
+        if options.count < 1:
+            parser.error(f"--count is {options.count}; allowed: 1 or more")
+        options.rates += np.linspace(options.first, options.last, options.count).tolist()
+    if not options.rates:
+        parser.error("give spin rates, or a range with --from and --to")
+    return options
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _override(text):
+    """A parameter message from "name=1.5", "name=3" or "name=1,2.5,3"."""
+    name, _, values = text.partition("=")
+    try:
+        numbers = [float(value) for value in values.strip("[]").split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be NAME=NUMBER or NAME=NUMBER,NUMBER,..."
+        ) from None
+    # ROS tells 3 from 3.0, and so does a node that wants a whole number.
+    if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
+        numbers = [int(number) for number in numbers]
+    return Parameter(name, value=numbers if "," in values else numbers[0]).to_parameter_msg()
+
+
+def _progress_line(total):
+    """An `on_wait` that shows progress on a terminal; None elsewhere and for few rates."""
+    if total <= BATCH or not sys.stderr.isatty():
+        return None
+    return lambda done: print(f"\r{done} of {total} rates", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,199 @@
+"""What the stability node may be asked for: limits, checks, and the jobs that a sweep consists of.
+
+Requests here are those of tss_interfaces; whatever is wrong with one raises a TssError that names
+the field, its value and what is allowed.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from tss_ros.core import METHODS, Cancelled, Interval, Rate, TssError
+from tss_ros.core.stability.critical_rates import SLOWEST
+from tss_ros.ros import parameters
+from tss_ros.ros.parameters import Parameter
+
+#: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
+#: cube of the beads, `CERTIFIED` times that if certified, and each turn of its simulation as twice
+#: the beads: 10 000 certified rates of three satellites, or one of a hundred. Taut motions then
+#: take minutes at most; rates at which tethers go slack can take seconds each.
+MAX_BEADS, MAX_WORK, CERTIFIED = 100, 810_000, 3
+#: The longest simulation beside a verdict, in turns, and in turns times beads, which it keeps.
+MAX_TURNS, MAX_BEAD_TURNS = 1000, 10_000
+#: The most work of a search: width of its interval times the cube of the beads (20 for 3
+#: satellites: some 400 rates, of which those with slack tethers take twenty times as long as
+#: others).
+MAX_SEARCH = 540
+#: A sweep can be canceled, so only its result must stay of a size that can be sent: jobs, jobs
+#: times beads, and the width of an interval.
+MAX_JOBS, MAX_JOB_BEADS, MAX_WIDTH = 10_000, 100_000, 1000
+#: What a search is given besides overrides; a field left at zero means the default.
+SEARCH = (
+    Parameter("spin_rate_ratio_from", float, "One end [-].", -1e4, 1e4, default=0.0),
+    Parameter("spin_rate_ratio_to", float, "Other end [-].", -1e4, 1e4, default=0.0),
+    Parameter("tolerance", float, "Largest uncertainty [-].", 1e-6, 0.1, default=1e-3),
+)
+DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets [m].", 1e-6, 1e6)
+#: What a sweep may vary: all that makes a system, but not the rates, which a goal has of its own.
+VARIED = {p.name: p for p in parameters.OVERRIDES if p.name != "spin_rate_ratio"}
+
+
+@dataclass
+class Row:
+    """A value of a sweep's parameter, NaN if none is varied, and why it makes no system, or ""."""
+
+    value: float
+    message: str = ""
+
+
+@dataclass
+class Plan:
+    """A checked sweep: a row for each value, the jobs, each with its row's index, and remarks."""
+
+    rows: list = field(default_factory=list)
+    jobs: list = field(default_factory=list)
+    remarks: list = field(default_factory=list)
+
+
+def check_method(request):
+    """The method of a request, one of `METHODS`."""
+    method = request.method or METHODS[0]
+    if method not in METHODS:
+        raise TssError(f"method is {method!r:.80}; allowed: '' or {' or '.join(METHODS)}")
+    return method
+
+
+def check_floquet(request, system):
+    """The method and the turns to be simulated of a ComputeFloquet request."""
+    method = check_method(request)
+    longest = min(MAX_TURNS, MAX_BEAD_TURNS // system.n)
+    turns = Parameter("confirm_turns", int, "", 0, longest).check(request.confirm_turns)
+    if turns:
+        DISTURBANCE.check(request.confirm_disturbance_m)
+    work = (CERTIFIED if request.certify else 1) * system.n**3 + 2 * system.n * turns
+    rates, most = len(request.spin_rate_ratio), max(1, MAX_WORK // work)
+    if not 1 <= rates <= most:
+        simulated = f" and {turns} turns" if turns else ""
+        raise TssError(
+            f"spin_rate_ratio has {rates} rates; "
+            f"allowed: 1 to {most} for {system.n} beads{simulated}"
+        )
+    return method, turns
+
+
+def check_search(request, system):
+    """The ends, the smaller first, and the tolerance of a FindCriticalRates request."""
+    low, high, tolerance = _interval(request)
+    widest = MAX_SEARCH / system.n**3
+    if not 0.0 < high - low <= widest:
+        raise TssError(
+            f"spin_rate_ratio_from and spin_rate_ratio_to are {high - low:g} apart; "
+            f"allowed: more than 0, at most {widest:.3g} for {system.n} beads"
+        )
+    return low, high, tolerance
+
+
+def plan_sweep(request, build, cancelled):
+    """Check the goal of a sweep and build its systems.
+
+    Parameters
+    ----------
+    request : Sweep.Goal
+    build : callable
+        Makes a System of overrides.
+    cancelled : callable
+        Asked before every system; a true answer stops the work.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    TssError
+        If the goal is wrong or none of its values makes a system.
+    Cancelled
+        If `cancelled` said so.
+    """
+    method = check_method(request)
+    low, high, tolerance = _interval(request)
+    rates, search = request.spin_rate_ratio, high > low
+    if not (rates or search):
+        raise TssError(
+            "spin_rate_ratio is empty and spin_rate_ratio_from is spin_rate_ratio_to; "
+            "allowed: rates, an interval, or both"
+        )
+    if high - low > MAX_WIDTH:
+        raise TssError(
+            f"spin_rate_ratio_from and spin_rate_ratio_to are {high - low:g} apart; "
+            f"allowed: at most {MAX_WIDTH}"
+        )
+    overrides = parameters.read_overrides(request.overrides)
+    name = request.parameter
+    if name and name not in VARIED:
+        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(VARIED)}")
+    if bool(name) != bool(request.value):
+        raise TssError(
+            f"parameter is {name!r} and value has {len(request.value)} values; "
+            "allowed: both or neither"
+        )
+    if name in overrides:
+        raise TssError(f"parameter is {name!r}, also in overrides; allowed: in one of the two")
+    per_row = len(rates) + search
+    plan = Plan([Row(value) for value in request.value or [math.nan]])
+    if (count := len(plan.rows) * per_row) > MAX_JOBS:
+        raise TssError(
+            f"value, spin_rate_ratio and the interval make {count} jobs; "
+            f"allowed: at most {MAX_JOBS}"
+        )
+    beads = 0
+    for i, row in enumerate(plan.rows):
+        if cancelled():
+            raise Cancelled("canceled before it began")
+        try:
+            varied = {name: _checked(VARIED[name], row.value)} if name else {}
+            system = build({**overrides, **varied})
+        except TssError as error:
+            row.message = str(error)
+            continue
+        if (beads := beads + per_row * system.n) > MAX_JOB_BEADS:
+            raise TssError(
+                f"value, spin_rate_ratio and the interval make {count} jobs, "
+                f"of more than {MAX_JOB_BEADS} beads together; allowed: at most that"
+            )
+        plan.jobs += [(i, Rate(system, rate, method)) for rate in rates]
+        plan.jobs += [(i, Interval(system, low, high, tolerance))] * search
+    if not plan.jobs:
+        raise TssError(plan.rows[0].message)
+    if failed := sum(bool(row.message) for row in plan.rows):
+        plan.remarks.append(f"{failed} of {len(plan.rows)} values make no system")
+    if search:
+        plan.remarks += left_out(low, high)
+    plan.remarks += useless(overrides)
+    return plan
+
+
+def left_out(low, high):
+    """A remark if a search of this interval leaves out slow spin."""
+    slow = low < SLOWEST and high > -SLOWEST
+    return [f"rates slower than {SLOWEST:g} were left out"] if slow else []
+
+
+def useless(overrides):
+    """A remark if an override has no effect."""
+    if "spin_rate_ratio" not in overrides:
+        return []
+    return ["spin_rate_ratio in overrides has no effect: the request has its own"]
+
+
+def _interval(request):
+    low, high, tolerance = (
+        parameter.check(getattr(request, parameter.name) or parameter.default)
+        for parameter in SEARCH
+    )
+    return min(low, high), max(low, high), tolerance
+
+
+def _checked(parameter, value):
+    """A float64 as the value of a parameter, some of which are whole numbers."""
+    whole = parameter.type is int and value.is_integer()
+    return parameter.check(int(value) if whole else value)

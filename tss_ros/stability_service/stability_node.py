@@ -1,0 +1,317 @@
+"""The stability node: Floquet multipliers, critical spin rates and sweeps on request."""
+
+import collections
+import functools
+import threading
+import time
+import traceback
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from tss_interfaces.action import Sweep
+from tss_interfaces.msg import SweepRow
+from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+
+from tss_ros.core import (
+    Cancelled,
+    Interval,
+    TssError,
+    compute_floquet,
+    confirm,
+    find_critical_rates,
+    sweep,
+)
+from tss_ros.ros import messages, parameters
+from tss_ros.ros.node import TssNode, run
+from tss_ros.ros.topics import create_publisher, read_topics
+from tss_ros.stability_service import requests as requests
+from tss_ros.sweeps import cluster
+
+#: Feedback kept for slow clients.
+FEEDBACK_DEPTH = 100
+#: Feedback is published this often [s]: more often, clients would miss some.
+FEEDBACK_PERIOD_S = 0.05
+#: How often [s] a goal looks whether it is its turn.
+TURN_CHECK_S = 0.1
+PROGRESS_PERIOD_S = 5.0
+
+
+class StabilityNode(TssNode):
+    """Offers the services `~/compute_floquet`, `~/find_critical_rates` and the action `~/sweep`.
+
+    Every result, whoever asked for it, is published on `stability_results` as well. Requests wait
+    for each other, and so do sweeps, in the order in which they came; neither waits for the other.
+    """
+
+    def __init__(self):
+        super().__init__("stability_node")
+        options = parameters.read_parameters(
+            self, (parameters.SCENARIO,), parameters.STABILITY, parameters.OVERRIDES
+        )
+        self._scenario = options.pop("scenario")
+        if scheduler := options.pop("scheduler"):
+            self._outcomes = functools.partial(
+                cluster.sweep, scheduler=cluster.check_address(scheduler)
+            )
+        else:
+            self._outcomes = sweep
+        self._overrides = options
+        # Built once here so that a wrong system is refused at the start, not at the first request.
+        self._build({})
+        self._stopping = threading.Event()
+        self._results = create_publisher(self, read_topics()["stability_results"])
+        # A group of their own: while a request is worked on, others wait, but parameters do not.
+        group = MutuallyExclusiveCallbackGroup()
+        for kind, name, work in (
+            (ComputeFloquet, "compute_floquet", self._compute_floquet),
+            (FindCriticalRates, "find_critical_rates", self._find_critical_rates),
+        ):
+            on_request = functools.partial(self._on_request, work)
+            self.create_service(kind, f"~/{name}", on_request, callback_group=group)
+        self._goals = collections.deque()
+        self._sweeps = ActionServer(
+            self,
+            Sweep,
+            "~/sweep",
+            self._on_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
+        )
+        self.get_logger().info(f"ready for requests about {self._scenario}")
+
+    def stop(self):
+        """Give up the request and the sweep in hand, if any."""
+        self._stopping.set()
+        # destroy_node leaves action servers, and they the node's shared memory.
+        self._sweeps.destroy()
+
+    async def _on_request(self, work, request, response):
+        def fill_in():
+            overrides = parameters.read_overrides(request.overrides)
+            remarks = work(self._build(overrides), request, response)
+            return remarks + requests.useless(overrides)
+
+        return await self._answer(fill_in, response)
+
+    async def _on_goal(self, goal):
+        """Sweep when it is the goal's turn. A wrong goal is aborted: a rejection has no reason."""
+        progress, result = _Progress(), Sweep.Result()
+        feedback = functools.partial(self._publish_feedback, goal, progress)
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(FEEDBACK_PERIOD_S, feedback, clock=clock)
+        self._goals.append(goal)
+        await self._answer(functools.partial(self._sweep, goal, progress, result), result)
+        self._goals.remove(goal)
+        self.destroy_timer(timer)
+        feedback()
+        if result.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+    async def _answer(self, fill_in, response):
+        """Fill in a response in a thread of its own, so that the executor stays free."""
+        done = Future()
+        done.add_done_callback(lambda _: self.executor.wake())
+
+        def work():
+            try:
+                response.message = "; ".join(fill_in())
+                response.success = True
+            except TssError as error:
+                response.message = str(error)
+                ended = "ended" if isinstance(error, Cancelled) else "refused"
+                self.get_logger().warning(f"request {ended}: {error}")
+            except Exception as error:
+                # A mistake of ours must not take the node away from those who ask next.
+                response.message = f"internal error: {type(error).__name__}: {error}"
+                self.get_logger().error(f"request failed: {traceback.format_exc()}")
+            done.set_result(response)
+
+        threading.Thread(target=work, daemon=True).start()
+        return await done
+
+    def _build(self, overrides):
+        system, _ = parameters.build_system(
+            self._scenario, {**self._overrides, **overrides}, requests.MAX_BEADS
+        )
+        return system
+
+    def _compute_floquet(self, system, request, response):
+        """Fill in the results of a request and return remarks on it."""
+        method, turns = requests.check_floquet(request, system)
+        rates = request.spin_rate_ratio
+        tell = self._teller()
+        results = []
+        for i, rate in enumerate(rates):
+            tell(f"{i} of {len(rates)} rates computed")
+            results.append(self._result(system, rate, method, request))
+        response.results = results
+        if turns and method != "monodromy":
+            return [f"confirm_turns has no effect: method {method!r} is not about the motion"]
+        return []
+
+    def _result(self, system, rate, method, request):
+        cancelled = self._stopping.is_set
+        confirmation, failure = None, ""
+        try:
+            result = compute_floquet(
+                system, rate, method, certify=request.certify, cancelled=cancelled
+            )
+        except Cancelled:
+            raise
+        except TssError as error:
+            return _failed(system, rate, error)
+        # Without multipliers there is no motion that a simulation could be compared with.
+        if request.confirm_turns and method == "monodromy" and result.family:
+            try:
+                confirmation = confirm(
+                    system,
+                    rate,
+                    result.state,
+                    request.confirm_disturbance_m,
+                    request.confirm_seed,
+                    request.confirm_turns,
+                    cancelled,
+                )
+            except Cancelled:
+                raise
+            except TssError as error:
+                failure = f"; not confirmed: {error}"
+        message = messages.floquet_result(result, confirmation)
+        message.message += failure
+        self._publish(message)
+        return message
+
+    def _find_critical_rates(self, system, request, response):
+        """Fill in the boundaries a request asks for and return remarks on it."""
+        low, high, tolerance = requests.check_search(request, system)
+        tell = self._teller()
+        found = find_critical_rates(
+            system,
+            low,
+            high,
+            tolerance,
+            progress=lambda done, rates: tell(
+                f"{100 * done:.0f} % of the interval searched, {len(rates)} boundaries found"
+            ),
+            cancelled=self._stopping.is_set,
+        )
+        response.rates = [messages.critical_rate(rate) for rate in found]
+        return requests.left_out(low, high)
+
+    def _sweep(self, goal, progress, result):
+        """Fill in the rows of a sweep and return remarks on it."""
+
+        def cancelled():
+            return self._stopping.is_set() or goal.is_cancel_requested
+
+        plan = requests.plan_sweep(goal.request, self._build, cancelled)
+        while self._goals[0] is not goal:
+            if cancelled():
+                raise Cancelled("canceled before it began")
+            time.sleep(TURN_CHECK_S)
+        tell = self._teller()
+        result.rows = rows = [SweepRow(value=r.value, message=r.message) for r in plan.rows]
+        progress.total = total = len(plan.jobs)
+        pieces = [None] * total
+        try:
+            jobs = (job for _, job in plan.jobs)
+            for index, outcome in self._outcomes(jobs, cancelled=cancelled):
+                i, job = plan.jobs[index]
+                pieces[index] = self._piece(rows[i].value, job, outcome)
+                progress.add(i, pieces[index])
+                tell(f"{progress.done} of {total} jobs done")
+        except Cancelled:
+            raise Cancelled(f"canceled with {progress.done} of {total} jobs done") from None
+        finally:
+            for (i, _), piece in zip(plan.jobs, pieces):
+                if piece is not None:
+                    _join(rows[i], piece)
+        return plan.remarks
+
+    def _piece(self, value, job, outcome):
+        """What one job adds to the row of its value."""
+        piece = SweepRow(value=value)
+        failed = isinstance(outcome, TssError)
+        if isinstance(job, Interval):
+            if failed:
+                piece.message = str(outcome)
+            else:
+                piece.rates = [messages.critical_rate(rate) for rate in outcome]
+        elif failed:
+            piece.results = [_failed(job.system, job.spin_rate_ratio, outcome)]
+        else:
+            piece.results = [messages.floquet_result(outcome)]
+            self._publish(piece.results[0])
+        return piece
+
+    def _publish(self, result):
+        try:
+            self._results.publish(result)
+        except Exception:
+            if self.context.ok():  # else a signal ended the context a moment ago
+                raise
+
+    def _publish_feedback(self, goal, progress):
+        done, rows = progress.take()
+        for row in rows:
+            goal.publish_feedback(Sweep.Feedback(done=done, total=progress.total, row=row))
+
+    def _teller(self):
+        """A function that logs how far a request is, now and then."""
+        begun = told = time.monotonic()
+
+        def tell(text):
+            nonlocal told
+            if (now := time.monotonic()) - told > PROGRESS_PERIOD_S:
+                told = now
+                self.get_logger().info(f"{text} in {now - begun:.0f} s")
+
+        return tell
+
+
+class _Progress:
+    """How far a sweep is, and what it found that no feedback has told yet; for any thread."""
+
+    def __init__(self):
+        self.done = self.total = 0
+        self._untold = []
+        self._lock = threading.Lock()
+
+    def add(self, i, piece):
+        """Take what a job found for row `i`."""
+        with self._lock:
+            self._untold.append((i, piece))
+            self.done += 1
+
+    def take(self):
+        """The number of jobs done, and what is untold of each row."""
+        with self._lock:
+            done, untold, self._untold = self.done, self._untold, []
+        rows = {}
+        for i, piece in untold:
+            _join(rows.setdefault(i, SweepRow(value=piece.value)), piece)
+        return done, rows.values()
+
+
+def _join(row, piece):
+    row.message = row.message or piece.message
+    row.results.extend(piece.results)
+    row.rates.extend(piece.rates)
+
+
+def _failed(system, rate, error):
+    return messages.failed_floquet_result(rate, rate * system.orbit_rate_rad_s, str(error))
+
+
+def main():
+    """Executable `stability_node`."""
+    run(StabilityNode)

@@ -1,0 +1,327 @@
+"""Stability over spin rates, scenarios and values of a parameter, on all cores or a cluster."""
+
+import argparse
+import contextlib
+import math
+import signal
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+
+from tss_ros import plots
+from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.sweeps import cluster
+from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, Question
+from tss_ros.sweeps.store import Store
+
+#: More rates than this are counted on the screen instead of being listed.
+MAX_LISTED = 1000
+#: How often [s] the line that shows progress is renewed.
+PROGRESS_S = 0.2
+
+
+def compute(question, store, workers=None, scheduler="", told=None, cancelled=None):
+    """Do and record the jobs that are missing from a store.
+
+    Parameters
+    ----------
+    question : Question
+    store : Store
+    workers : int, optional
+        Threads of this process; as many as there are cores if not given.
+    scheduler : str
+        Address of a Dask scheduler whose workers do it instead; "" for none.
+    told : callable, optional
+        Called after every job.
+    cancelled : callable, optional
+
+    Raises
+    ------
+    TssError
+        If the sweep cannot go on; jobs that fail are recorded and raise nothing.
+    Cancelled
+        If `cancelled` said so.
+    """
+    missing = store.missing(len(question))
+    jobs = (question.job(number) for number in missing)
+    if scheduler:
+        outcomes = cluster.sweep(jobs, scheduler, cancelled)
+    else:
+        outcomes = sweep(jobs, workers, cancelled)
+    with contextlib.closing(outcomes):
+        for index, outcome in outcomes:
+            store.record(missing[index], *outcome)
+            if told:
+                told()
+
+
+def table(question, store):
+    """What was found, as lines of text; of more than `MAX_LISTED` jobs, only how often.
+
+    Parameters
+    ----------
+    question : Question
+    store : Store
+
+    Returns
+    -------
+    str
+    """
+    if len(question) > MAX_LISTED:
+        return "\n".join(_counts(question, store))
+    lines = []
+    rates, critical, simulated = (
+        _by_system(question, store, name) for name in (MULTIPLIERS, CRITICAL_RATES, SIMULATIONS)
+    )
+    for label in dict.fromkeys(map(question.label, range(len(question)))):
+        lines.append(label)
+        rows = rates.get(label, [])
+        frozen = {
+            row["spin_rate_ratio"]: row["max_modulus"]
+            for row in rows
+            if row["method"] == "frozen" and not row["error"]
+        }
+        for row in rows:
+            if row["method"] != "frozen" or question.methods == ["frozen"]:
+                lines.append(_rate(row, frozen))
+        for row in critical.get(label, ()):
+            lines.append(_critical(row))
+            beside = row["spin_rate_ratio"]
+            lines += [
+                _simulation(r) for r in simulated.get(label, ()) if r["critical_rate"] == beside
+            ]
+        if question.interval and label not in critical:
+            lines.append("  no critical rate found")
+    return "\n".join(lines)
+
+
+def _by_system(question, store, name):
+    rows = {}
+    for row in store.table(name).to_pylist():
+        rows.setdefault(question.label(row["job"]), []).append(row)
+    return rows
+
+
+def _rate(row, frozen):
+    if row["error"]:
+        return f"  {row['spin_rate_ratio']:9.4f}  {row['error']}"
+    ratio = row["spin_rate_ratio"]
+    beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
+    return (
+        f"  {ratio:9.4f}  {row['verdict']:22}  |rho| {row['max_modulus_nontrivial']:11.6f}{beside}"
+        f"  closure {row['closure_residual']:.0e}  switches {row['switches']}"
+    )
+
+
+def _critical(row):
+    if row["error"]:
+        return f"  {row['error']}"
+    side = "above" if row["stable_side"] > 0 else "below"
+    return (
+        f"  {row['spin_rate_ratio']:9.4f} +- {row['uncertainty']:.4f}  {row['cause']:18}"
+        f"  stable {side}"
+    )
+
+
+def _simulation(row):
+    words = f"      {row['spin_rate_ratio']:9.4f}  {row['verdict'] or '':22}"
+    if row["error"] or row["simulated_held"] is None:
+        return f"{words}  nothing to simulate: {row['error'] or row['message']}"
+    held = "held" if row["simulated_held"] else "lost"
+    agrees = {True: "agrees", False: "DISAGREES", None: "too slow to tell"}
+    return (
+        f"{words}  |rho| {row['max_modulus_nontrivial']:9.4f}  simulated: {held},"
+        f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
+        f" {row['simulated_switches']} switches: {agrees[row['agrees']]}"
+    )
+
+
+def _counts(question, store):
+    """How often there is which verdict and which cause."""
+    verdicts = _points(question, store, "verdict")["verdict"]
+    causes = store.table(CRITICAL_RATES, ["cause"])["cause"].drop_null()
+    for values in (verdicts, causes):
+        for count in sorted(values.value_counts().to_pylist(), key=lambda c: -c["counts"]):
+            yield f"  {count['counts']:9}  {count['values']}"
+
+
+def _points(question, store, *columns):
+    """Multipliers that there are, by the motion's own method if it was asked for."""
+    found = store.table(MULTIPLIERS, [*columns, "method"]).drop_null()
+    return found.filter(pa.compute.field("method") == question.methods[0])
+
+
+def draw(question, store):
+    """The map of verdicts and critical rates.
+
+    Parameters
+    ----------
+    question : Question
+    store : Store
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    place = np.array([i if math.isnan(v) else v for i, (_, v, _) in enumerate(question.systems)])
+
+    def arrays(found, *columns):
+        jobs, *values = (found[column].to_numpy() for column in ("job", *columns))
+        return place[question.system_index(jobs)], *values
+
+    shown = ("spin_rate_ratio", "uncertainty", "cause")
+    return plots.stability_map(
+        question.parameter or "scenario",
+        arrays(
+            _points(question, store, "job", "spin_rate_ratio", "verdict"),
+            "spin_rate_ratio",
+            "verdict",
+        ),
+        arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
+        () if question.parameter else [name for name, _, _ in question.systems],
+    )
+
+
+def main(argv=None):
+    """Executable `sweep`.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 1 if something failed, 2 for a wrong command line, 130 when interrupted.
+    """
+    options = _parse(sys.argv[1:] if argv is None else argv)
+    stopped = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    try:
+        question = Question(
+            options.scenario, options.parameter, options.values, options.rates,
+            options.methods, options.critical, options.tolerance, options.confirm,
+        )  # fmt: skip
+        with (
+            tempfile.TemporaryDirectory(prefix="sweep_") as scratch,
+            Store(options.output or Path(scratch), question) as store,
+        ):
+            return _sweep(question, store, options, stopped.is_set)
+    except (TssError, OSError) as error:
+        print(f"sweep: {error}", file=sys.stderr)
+        return 1
+
+
+def _sweep(question, store, options, cancelled):
+    """Do what is missing and show what there is."""
+    status, total = 0, len(question)
+    if options.retry:
+        store.forget_failures()
+    show = _Progress(store, total) if sys.stderr.isatty() else None
+    again = "; the same command goes on from here" if options.output else ""
+    try:
+        compute(question, store, options.workers, options.scheduler, show, cancelled)
+        words = ""
+    except Cancelled:
+        words, status = "interrupted", 130
+    except (TssError, OSError) as error:
+        words, status = str(error), 1
+    if show:
+        print(file=sys.stderr)
+    if words:
+        print(f"sweep: {words}; {store.done} of {total} jobs are done{again}", file=sys.stderr)
+    store.flush()
+    print(table(question, store))
+    if options.output:
+        draw(question, store).savefig(options.output / "map.png")
+    if failure := store.failures().fetchone():
+        number, error = failure
+        again = "; --retry runs them again" if options.output else ""
+        print(
+            f"sweep: {store.failed} of {total} jobs failed, first {question.label(number)}:"
+            f" {error}{again}",
+            file=sys.stderr,
+        )
+    return status or int(failure is not None)
+
+
+class _Progress:
+    """The line on a terminal that says how far a sweep is; called after each job."""
+
+    def __init__(self, store, total):
+        self._store, self._total = store, total
+        self._first, self._begun, self._shown = store.done, time.monotonic(), -PROGRESS_S
+
+    def __call__(self):
+        done, now = self._store.done, time.monotonic()
+        if now - self._shown < PROGRESS_S and done < self._total:
+            return
+        self._shown = now
+        rate = (done - self._first) / max(now - self._begun, 1e-9)
+        left = int((self._total - done) / rate)
+        print(
+            f"\r{done} of {self._total} jobs, {rate:.3g}/s,"
+            f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left,"
+            f" {self._store.failed} failed\033[K",
+            end="",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _parse(arguments):
+    parser = argparse.ArgumentParser(
+        prog="sweep", description="Stability over spin rates, scenarios and a parameter's values."
+    )
+    parser.add_argument(
+        "scenario", nargs="*", default=["three_star"], help="shipped names or files (three_star)"
+    )
+    parser.add_argument(
+        "--rates", nargs=3, type=float, metavar=("FROM", "TO", "COUNT"),
+        help="multipliers at so many spin rates",
+    )  # fmt: skip
+    parser.add_argument(
+        "--methods", nargs="+", choices=METHODS, default=list(METHODS),
+        help="of multipliers (both: the motion's own, and the paper's frozen ones beside)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--critical", nargs=2, type=float, metavar=("FROM", "TO"),
+        help="all critical spin rates between two",
+    )  # fmt: skip
+    parser.add_argument("--tolerance", type=float, default=1e-3, help="of critical rates (0.001)")
+    parser.add_argument(
+        "--confirm", type=int, default=0, metavar="TURNS",
+        help=f"simulate disturbed formations {BESIDE} beside critical rates",
+    )  # fmt: skip
+    parser.add_argument("--parameter", default="", help="parameter to vary, e.g. damping_n_s_per_m")
+    parser.add_argument("--values", nargs="+", type=float, default=[], metavar="VALUE")
+    parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
+    parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS",
+        help="of a Dask cluster that does the jobs instead, e.g. tcp://127.0.0.1:8786",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="keep Parquet tables and a map there, and go on with what is there",
+    )  # fmt: skip
+    parser.add_argument("--retry", action="store_true", help="run jobs that failed there again")
+    options = parser.parse_args(arguments)
+    if bool(options.parameter) != bool(options.values):
+        parser.error("--parameter and --values go together")
+    if not (options.rates or options.critical):
+        parser.error("give --rates or --critical")
+    if options.confirm < 0 or options.confirm and not options.critical:
+        parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
+    if options.workers is not None and options.scheduler:
+        parser.error("--workers are this machine's; those of --scheduler are started beside it")
+    if options.retry and not options.output:
+        parser.error("--retry needs --output")
+    options.methods = [method for method in METHODS if method in options.methods]
+    if options.rates:
+        first, last, count = options.rates
+        if not (count == int(count) and 1 <= count <= 1_000_000):
+            parser.error(f"COUNT is {count:g}; allowed: whole numbers from 1 to 1000000")
+        options.rates = first, last, int(count)
+    return options

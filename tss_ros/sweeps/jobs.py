@@ -1,0 +1,228 @@
+"""What a sweep is asked, the jobs it consists of, and the rows of tables that they become."""
+
+import json
+import math
+import time
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tss_ros.core import (
+    Cancelled,
+    Check,
+    Confirmation,
+    CriticalRate,
+    FloquetResult,
+    Interval,
+    Rate,
+    State,
+    TssError,
+)
+from tss_ros.scenarios import scenario
+from tss_ros.sweeps import software
+
+#: How far beside a critical rate its two sides are looked at.
+BESIDE = 0.05
+MULTIPLIERS, CRITICAL_RATES, SIMULATIONS = "multipliers", "critical_rates", "simulations"
+
+
+@dataclass(frozen=True)
+class Boundaries:
+    """A job: the critical rates of a system and, `BESIDE` each, disturbed simulations."""
+
+    interval: Interval
+    turns: int
+
+    def run(self, cancelled=None):
+        """Rows of `CRITICAL_RATES` and `SIMULATIONS`, and the first error of a simulation."""
+        system, failure = self.interval.system, None
+        rates = self.interval.run(cancelled)
+        tables = {CRITICAL_RATES: [_cells(rate) for rate in rates], SIMULATIONS: []}
+        for rate in rates if self.turns else ():
+            for side in (-1, 1):
+                ratio = rate.spin_rate_ratio + side * BESIDE
+                row = {"critical_rate": rate.spin_rate_ratio, "spin_rate_ratio": ratio}
+                try:
+                    result, seen = Check(system, ratio, self.turns).run(cancelled)
+                    row = _cells(result) | row
+                    if seen is not None:
+                        row |= {f"simulated_{name}": v for name, v in _cells(seen).items()}
+                        row["agrees"] = seen.agrees_with(result)
+                except Cancelled:
+                    raise
+                except TssError as error:
+                    row["error"] = str(error)
+                    failure = failure or error
+                tables[SIMULATIONS].append(row)
+        return tables, failure
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A job with what every row it gives says of it."""
+
+    job: Rate | Boundaries
+    cells: dict
+
+    def run(self, cancelled=None):
+        """Do the job.
+
+        Returns
+        -------
+        tuple of str, str or None, and float
+            Rows by table, as JSON; the error, if there was one; processor time [s].
+        """
+        begun = time.thread_time()
+        failure = None
+        try:
+            found = self.job.run(cancelled)
+            if isinstance(self.job, Boundaries):
+                tables, failure = found
+            else:
+                tables = {MULTIPLIERS: [_cells(found)]}
+        except Cancelled:
+            raise
+        except TssError as error:
+            failure = error
+            name = CRITICAL_RATES if isinstance(self.job, Boundaries) else MULTIPLIERS
+            tables = {name: [{"error": str(error)}]}
+        rows = {name: [row | self.cells for row in rows] for name, rows in tables.items()}
+        error = None if failure is None else str(failure)
+        return json.dumps(rows), error, time.thread_time() - begun
+
+
+class Question:
+    """What a sweep is asked: every scenario, with every value of a parameter, at every rate.
+
+    Its jobs are numbered, system by system: first every rate, by each method, then the interval.
+
+    Parameters
+    ----------
+    scenarios : sequence of str
+        Shipped names or files.
+    parameter : str
+        To be varied, given to all its elements; "" for none.
+    values : sequence of float
+    rates : (float, float, int) or None
+        First and last spin rate, and how many.
+    methods : sequence of str
+        Of `core.METHODS`, for each rate.
+    interval : (float, float) or None
+        Where critical rates are searched.
+    tolerance : float
+        Largest uncertainty of a critical rate.
+    turns : int
+        Length of the simulations `BESIDE` every critical rate; 0 for none.
+
+    Raises
+    ------
+    TssError
+        If a scenario or a value is not allowed.
+    """
+
+    def __init__(self, scenarios, parameter, values, rates, methods, interval, tolerance, turns):
+        self.parameter, self.methods = parameter, methods
+        self.interval, self.tolerance, self.turns = interval, tolerance, turns
+        self.ratios = np.linspace(*rates).tolist() if rates else []
+        self.systems = []
+        for name in scenarios:
+            template = scenario.load(name)
+            if parameter:
+                self.systems += [(name, v, template.build({parameter: v})) for v in values]
+            else:
+                self.systems.append((name, math.nan, template.build()))
+        self.description = {
+            **{f"scenario {name}": scenario.read_text(name) for name in scenarios},
+            "scenarios": scenarios, "parameter": parameter, "values": values,
+            "rates": rates, "methods": methods, "critical": interval,
+            "tolerance": tolerance, "confirm": turns,
+            **{f"version of {name}": value for name, value in software.versions().items()},
+        }  # fmt: skip
+
+    def __len__(self):
+        return len(self.systems) * self._jobs_per_system
+
+    @property
+    def _jobs_per_system(self):
+        return len(self.ratios) * len(self.methods) + (self.interval is not None)
+
+    def system_index(self, number):
+        """Which of `systems` a job, or each of an array of jobs, is about."""
+        return number // self._jobs_per_system
+
+    def label(self, number):
+        """The system of a job, in words."""
+        name, value, _ = self.systems[self.system_index(number)]
+        return f"{name} {self.parameter}={value:g}" if self.parameter else name
+
+    def job(self, number):
+        """The Entry of a number."""
+        index, place = self.system_index(number), number % self._jobs_per_system
+        name, value, system = self.systems[index]
+        cells = {"job": number, "scenario": name}
+        if self.parameter:
+            cells[self.parameter] = value
+        if place == len(self.ratios) * len(self.methods):
+            interval = Interval(system, *self.interval, self.tolerance)
+            return Entry(Boundaries(interval, self.turns), cells)
+        at, by = divmod(place, len(self.methods))
+        ratio, method = self.ratios[at], self.methods[by]
+        return Entry(
+            Rate(system, ratio, method), cells | {"spin_rate_ratio": ratio, "method": method}
+        )
+
+    def columns(self):
+        """Names and types of the columns of each table.
+
+        Returns
+        -------
+        dict of str to dict of str to type
+        """
+        about = {"job": int, "scenario": str}
+        if self.parameter:
+            about[self.parameter] = float
+        floquet, why = _columns(FloquetResult), {"error": str}
+        simulated = {f"simulated_{name}": kind for name, kind in _columns(Confirmation).items()}
+        return {
+            MULTIPLIERS: about | floquet | why,
+            CRITICAL_RATES: about | _columns(CriticalRate) | why,
+            SIMULATIONS: about
+            | {"critical_rate": float}
+            | floquet
+            | simulated
+            | {"agrees": bool}
+            | why,
+        }
+
+
+def _columns(kind):
+    """The columns that the fields of a result become; samples of a simulation are left out."""
+    columns = {}
+    for field in fields(kind):
+        if field.type is State:
+            columns |= {"position_m": list[float], "velocity_m_s": list[float]}
+        elif field.name == "multiplier":
+            columns |= {"multiplier_real": list[float], "multiplier_imag": list[float]}
+        elif field.type is tuple:
+            columns[field.name] = list[str]
+        elif field.type is not np.ndarray:
+            columns[field.name] = field.type
+    return columns
+
+
+def _cells(found):
+    """A result as a row with the columns of `_columns`."""
+    cells = {}
+    for field in fields(found):
+        value = getattr(found, field.name)
+        if field.type is State:
+            cells["position_m"] = value.position_m.ravel().tolist()
+            cells["velocity_m_s"] = value.velocity_m_s.ravel().tolist()
+        elif field.name == "multiplier":
+            cells["multiplier_real"] = value.real.tolist()
+            cells["multiplier_imag"] = value.imag.tolist()
+        elif field.type is tuple:
+            cells[field.name] = [str(item) for item in value]
+        elif field.type is not np.ndarray:
+            cells[field.name] = field.type(value)
+    return cells
