@@ -10,7 +10,7 @@ from collections import Counter
 
 import numpy as np
 
-from tss_ros.core import Rate, TssError, ring, sweep
+from tss_ros.core import FloquetJob, TssError, ring, sweep
 
 RATES = (-3.5, -1.5)
 WORKERS = (1, 2)
@@ -19,7 +19,7 @@ WORKERS = (1, 2)
 def measure(count=200):
     """Seconds and outcomes by the number of workers."""
     system = ring()
-    jobs = [Rate(system, float(rate)) for rate in np.linspace(*RATES, count)]
+    jobs = [FloquetJob(system, float(rate)) for rate in np.linspace(*RATES, count)]
     list(sweep(jobs[:2]))  # warm
     table = {}
     for workers in WORKERS:

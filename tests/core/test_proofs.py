@@ -9,10 +9,10 @@ import pytest
 
 from tss_ros.core import (
     Cancelled,
-    Check,
-    Interval,
+    ConfirmationJob,
+    CriticalRatesJob,
+    FloquetJob,
     Propagator,
-    Rate,
     TssError,
     compute_floquet,
     formation,
@@ -153,7 +153,7 @@ def test_critical_rates_of_other_formations_agree_with_simulations(
     name, low, high, at, cause, stable_side
 ):
     system = scenario.load(name).build()
-    jobs = [Interval(system, low, high, 2e-3)]
+    jobs = [CriticalRatesJob(system, low, high, 2e-3)]
     ((_, found),) = sweep(jobs)
     if at is None:
         assert found == []
@@ -162,7 +162,8 @@ def test_critical_rates_of_other_formations_agree_with_simulations(
     assert rate.cause == cause
     assert rate.stable_side == stable_side
     assert rate.spin_rate_ratio == pytest.approx(at, abs=4e-3)
-    checks = [Check(system, rate.spin_rate_ratio + side * 0.06, turns=16) for side in (-1, 1)]
+    beside = (rate.spin_rate_ratio + side * 0.06 for side in (-1, 1))
+    checks = [ConfirmationJob(system, ratio, turns=16) for ratio in beside]
     outcomes = dict(sweep(checks))
     for side, index in ((-1, 0), (1, 1)):
         result, seen = outcomes[index]
@@ -183,7 +184,7 @@ def test_square_without_diagonals_is_never_stable():
 
 
 def test_a_sweep_gives_the_same_whatever_the_workers():
-    jobs = [Rate(ring(damping_n_s_per_m=c), w) for c in (500.0, 1450.0) for w in (-2.9, -2.3)]
+    jobs = [FloquetJob(ring(damping_n_s_per_m=c), w) for c in (500.0, 1450.0) for w in (-2.9, -2.3)]
     alone, together = (dict(sweep(jobs, workers)) for workers in (1, 3))
     assert sorted(alone) == sorted(together) == [0, 1, 2, 3]
     for index, job in enumerate(jobs):
@@ -193,7 +194,7 @@ def test_a_sweep_gives_the_same_whatever_the_workers():
 
 
 def test_a_job_that_fails_stops_no_other():
-    outcomes = dict(sweep([Rate(ring(), 0.0), Rate(ring(), -2.9)]))
+    outcomes = dict(sweep([FloquetJob(ring(), 0.0), FloquetJob(ring(), -2.9)]))
     assert isinstance(outcomes[0], TssError) and "spin_rate_ratio" in str(outcomes[0])
     assert outcomes[1].verdict == "asymptotically stable"
 
@@ -202,7 +203,7 @@ def test_a_sweep_is_cancelled_with_what_it_has():
     stop = threading.Event()
     done = []
     with pytest.raises(Cancelled):
-        jobs = [Rate(ring(), -3.0 - 0.001 * i) for i in range(10_000)]
+        jobs = [FloquetJob(ring(), -3.0 - 0.001 * i) for i in range(10_000)]
         for index, _ in sweep(jobs, 2, stop.is_set):
             done.append(index)
             if len(done) == 5:

@@ -18,7 +18,7 @@ import ros_harness
 from ros_harness import SWEEP
 
 import tss_ros
-from tss_ros.core import Cancelled, Interval, Rate, TssError, compute_floquet, ring
+from tss_ros.core import Cancelled, CriticalRatesJob, FloquetJob, TssError, compute_floquet, ring
 from tss_ros.scenarios import scenario
 from tss_ros.sweeps import cluster, command
 from tss_ros.sweeps.command import compute
@@ -220,7 +220,7 @@ def test_a_folder_in_use_and_a_file_that_is_no_manifest_are_refused(tmp_path, fi
         Store(tmp_path, question())
 
 
-LONG = [Interval(ring(), -2.1, -1.1, 1e-5)] * 8
+LONG = [CriticalRatesJob(ring(), -2.1, -1.1, 1e-5)] * 8
 
 
 def test_canceled_workers_stop_in_the_middle_of_a_job(dask):
@@ -231,8 +231,9 @@ def test_canceled_workers_stop_in_the_middle_of_a_job(dask):
         list(cluster.sweep(LONG, dask.address, stop.is_set))
     # Each worker has one thread: only if that is free again does this end before its deadline.
     found = []
+    job = FloquetJob(ring(), -2.5)
     quick = threading.Thread(
-        target=lambda: found.extend(cluster.sweep([Rate(ring(), -2.5)], dask.address)), daemon=True
+        target=lambda: found.extend(cluster.sweep([job], dask.address)), daemon=True
     )
     quick.start()
     quick.join(5.0)
@@ -246,11 +247,11 @@ def test_a_worker_with_another_core_is_named(tmp_path, dask):
         file.write("# another core\n")
     with dask_cluster.running(tmp_path, 0) as other:
         with pytest.raises(TssError, match=f"{other.address} has no worker"):
-            list(cluster.sweep([Rate(ring(), -2.5)], other.address))
+            list(cluster.sweep([FloquetJob(ring(), -2.5)], other.address))
         path = f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"
         other.add_workers(1, env={**os.environ, "PYTHONPATH": path})
         with pytest.raises(TssError, match="other software: core is .* there and .* here"):
-            list(cluster.sweep([Rate(ring(), -2.5)], other.address))
+            list(cluster.sweep([FloquetJob(ring(), -2.5)], other.address))
 
 
 def test_a_scheduler_that_is_lost_is_named_and_what_is_done_is_kept(tmp_path, monkeypatch):

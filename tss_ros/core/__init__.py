@@ -3,6 +3,8 @@
 SI units. States are (n, 3) arrays in the orbit frame: y radially up, z along the orbit normal.
 """
 
+import warnings
+
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
 from tss_ros.core.model.forces import tether_state
@@ -13,7 +15,7 @@ from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import METHODS, VERDICTS, FloquetResult, compute_floquet
 from tss_ros.core.stability.modes import FAMILIES
-from tss_ros.core.stability.parallel import Check, Interval, Rate, sweep
+from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
 
 __all__ = [
     "CAUSES",
@@ -22,15 +24,15 @@ __all__ = [
     "METHODS",
     "VERDICTS",
     "Cancelled",
-    "Check",
+    "ConfirmationJob",
     "Confirmation",
     "CriticalRate",
     "FloquetResult",
     "IntegrationError",
-    "Interval",
+    "CriticalRatesJob",
     "NoSteadyState",
     "Propagator",
-    "Rate",
+    "FloquetJob",
     "Satellite",
     "State",
     "System",
@@ -49,3 +51,18 @@ __all__ = [
     "sweep",
     "tether_state",
 ]
+
+#: Old names of jobs, kept for one release.
+_OLD_NAMES = {"Rate": FloquetJob, "Interval": CriticalRatesJob, "Check": ConfirmationJob}
+
+
+def __getattr__(name):
+    if name not in _OLD_NAMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    new = _OLD_NAMES[name]
+    warnings.warn(
+        f"{__name__}.{name} is now {new.__name__}; the old name goes with the next release",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return new

@@ -7,7 +7,7 @@ the field, its value and what is allowed.
 import math
 from dataclasses import dataclass, field
 
-from tss_ros.core import METHODS, Cancelled, Interval, Rate, TssError
+from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import parameters
 from tss_ros.ros.parameters import Parameter
@@ -160,8 +160,8 @@ def plan_sweep(request, build, cancelled):
                 f"value, spin_rate_ratio and the interval make {count} jobs, "
                 f"of more than {MAX_JOB_BEADS} beads together; allowed: at most that"
             )
-        plan.jobs += [(i, Rate(system, rate, method)) for rate in rates]
-        plan.jobs += [(i, Interval(system, low, high, tolerance))] * search
+        plan.jobs += [(i, FloquetJob(system, rate, method)) for rate in rates]
+        plan.jobs += [(i, CriticalRatesJob(system, low, high, tolerance))] * search
     if not plan.jobs:
         raise TssError(plan.rows[0].message)
     if failed := sum(bool(row.message) for row in plan.rows):

@@ -18,7 +18,7 @@ from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 from tss_ros.core import (
     Cancelled,
-    Interval,
+    CriticalRatesJob,
     TssError,
     compute_floquet,
     confirm,
@@ -241,7 +241,7 @@ class StabilityNode(TssNode):
         """What one job adds to the row of its value."""
         piece = SweepRow(value=value)
         failed = isinstance(outcome, TssError)
-        if isinstance(job, Interval):
+        if isinstance(job, CriticalRatesJob):
             if failed:
                 piece.message = str(outcome)
             else:

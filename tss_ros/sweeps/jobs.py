@@ -9,12 +9,12 @@ import numpy as np
 
 from tss_ros.core import (
     Cancelled,
-    Check,
     Confirmation,
+    ConfirmationJob,
     CriticalRate,
+    CriticalRatesJob,
+    FloquetJob,
     FloquetResult,
-    Interval,
-    Rate,
     State,
     TssError,
 )
@@ -30,7 +30,7 @@ MULTIPLIERS, CRITICAL_RATES, SIMULATIONS = "multipliers", "critical_rates", "sim
 class Boundaries:
     """A job: the critical rates of a system and, `BESIDE` each, disturbed simulations."""
 
-    interval: Interval
+    interval: CriticalRatesJob
     turns: int
 
     def run(self, cancelled=None):
@@ -43,7 +43,7 @@ class Boundaries:
                 ratio = rate.spin_rate_ratio + side * BESIDE
                 row = {"critical_rate": rate.spin_rate_ratio, "spin_rate_ratio": ratio}
                 try:
-                    result, seen = Check(system, ratio, self.turns).run(cancelled)
+                    result, seen = ConfirmationJob(system, ratio, self.turns).run(cancelled)
                     row = _cells(result) | row
                     if seen is not None:
                         row |= {f"simulated_{name}": v for name, v in _cells(seen).items()}
@@ -61,7 +61,7 @@ class Boundaries:
 class Entry:
     """A job with what every row it gives says of it."""
 
-    job: Rate | Boundaries
+    job: FloquetJob | Boundaries
     cells: dict
 
     def run(self, cancelled=None):
@@ -163,12 +163,12 @@ class Question:
         if self.parameter:
             cells[self.parameter] = value
         if place == len(self.ratios) * len(self.methods):
-            interval = Interval(system, *self.interval, self.tolerance)
+            interval = CriticalRatesJob(system, *self.interval, self.tolerance)
             return Entry(Boundaries(interval, self.turns), cells)
         at, by = divmod(place, len(self.methods))
         ratio, method = self.ratios[at], self.methods[by]
         return Entry(
-            Rate(system, ratio, method), cells | {"spin_rate_ratio": ratio, "method": method}
+            FloquetJob(system, ratio, method), cells | {"spin_rate_ratio": ratio, "method": method}
         )
 
     def columns(self):

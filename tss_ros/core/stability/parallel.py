@@ -21,7 +21,7 @@ SWITCH_INTERVAL_S = 1e-4
 
 
 @dataclass(frozen=True)
-class Rate:
+class FloquetJob:
     """A job of a sweep: the multipliers of one system at one spin rate, not certified."""
 
     system: System
@@ -36,7 +36,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Interval:
+class CriticalRatesJob:
     """A job of a sweep: the critical rates of one system in an interval."""
 
     system: System
@@ -53,7 +53,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Check:
+class ConfirmationJob:
     """A job of a sweep: a verdict beside what a disturbed simulation does."""
 
     system: System
@@ -81,7 +81,7 @@ def sweep(jobs, workers=None, cancelled=None):
 
     Parameters
     ----------
-    jobs : iterable of Rate, Interval or Check
+    jobs : iterable of FloquetJob, CriticalRatesJob or ConfirmationJob
         Anything with ``run(cancelled)``; taken as they are needed, so that there may be millions.
     workers : int, optional
         Jobs at a time; as many as there are cores if not given.
