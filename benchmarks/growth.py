@@ -16,7 +16,7 @@ import time
 import numpy as np
 
 from tss_ros.core import averaged_state, ring
-from tss_ros.core.motion.propagator import Flow
+from tss_ros.core.motion.propagator import Integrator
 
 BEADS = (3, 10, 30, 100, 300, 1000, 3000, 10_000)
 RATE, TETHER_KG, STEPS = -10.0, 10.0, 30
@@ -36,14 +36,15 @@ def measure(beads):
     state = averaged_state(system, RATE)
     steady = time.process_time() - begun
     length = np.max(np.linalg.norm(state.position_m, axis=1))
-    flow = Flow(system, system.spin_rate_rad_s(RATE), 1e-9, length)
-    motion = flow.begin(state)
-    flow.advance(motion, 1e9, STEPS)
-    before = motion.count[:3].copy()
+    integrator = Integrator(system, system.spin_rate_rad_s(RATE), 1e-9, length)
+    motion = integrator.begin(state)
+    integrator.advance(motion, 1e9, STEPS)
+    before = motion.progress.copy()
     begun = time.process_time()
-    flow.advance(motion, 1e9, STEPS)
+    integrator.advance(motion, 1e9, STEPS)
     taken = time.process_time() - begun
-    steps, refused, iterations = motion.count[:3] - before
+    names = ("steps", "rejected", "newton_iterations")
+    steps, refused, iterations = (int(motion.progress[x][0] - before[x][0]) for x in names)
     return {
         "beads": system.n,
         "steady_ms": 1e3 * steady,

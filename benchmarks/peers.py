@@ -7,6 +7,7 @@ from numba import njit
 from scipy import sparse
 
 from tss_ros.core.model import forces
+from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.numerics import block_lu
 
 #: A switch that is located must leave its tether this near to its rest length, relative.
@@ -35,7 +36,7 @@ class Compiled:
     """
 
     def __init__(self, problem, spin):
-        plant = forces.plant(problem.system, spin)
+        arrays = kernel_arrays(problem.system, spin)
         n, size = problem.n, 3 * problem.n
         acceleration, stretch, jacobian = forces.acceleration, forces.stretch, forces.jacobian
         symbolic = block_lu.analyse(n, problem.system.tether_ends)
@@ -52,7 +53,7 @@ class Compiled:
         @njit(error_model="numpy")
         def derivative(t, x, taut, out):
             acceleration(
-                plant,
+                arrays,
                 taut,
                 t,
                 x[:size].reshape(n, 3),
@@ -63,7 +64,7 @@ class Compiled:
 
         @njit(error_model="numpy")
         def lengths(x, excess, growth):
-            stretch(plant, x[:size].reshape(n, 3), x[size:].reshape(n, 3), excess, growth)
+            stretch(arrays, x[:size].reshape(n, 3), x[size:].reshape(n, 3), excess, growth)
 
         @njit(error_model="numpy")
         def by_length(x, taut):
@@ -76,7 +77,7 @@ class Compiled:
         def values(t, x, taut, out):
             by_r, by_v = np.empty((row.size, 3, 3)), np.empty((row.size, 3, 3))
             jacobian(
-                plant, pair, taut, t, x[:size].reshape(n, 3), x[size:].reshape(n, 3), by_r, by_v
+                arrays, pair, taut, t, x[:size].reshape(n, 3), x[size:].reshape(n, 3), by_r, by_v
             )
             out[: by_v.size] = by_v.reshape(-1)
             out[by_v.size : 2 * by_v.size] = by_r.reshape(-1)

@@ -6,6 +6,7 @@ import numpy as np
 
 from tss_ros.core import State, initial_state, ring
 from tss_ros.core.model import forces
+from tss_ros.core.model.kernel_arrays import kernel_arrays
 
 MOTION_ERROR, MODULUS_ERROR = 1e-8, 1e-6
 
@@ -66,8 +67,8 @@ class Problem:
     def taut(self):
         """Which tethers start taut, shape (m,): those longer than at rest, or growing."""
         excess, growth = np.empty((2, self.system.m))
-        plant = forces.plant(self.system, self.spin)
-        forces.stretch(plant, *self._parts(self.turning()), excess, growth)
+        arrays = kernel_arrays(self.system, self.spin)
+        forces.stretch(arrays, *self._parts(self.turning()), excess, growth)
         return (excess > 0.0) | ((excess == 0.0) & (growth > 0.0))
 
     def orbit(self):

@@ -3,8 +3,8 @@
 from collections import namedtuple
 
 from benchmarks import array_peers, heyoka_peer, peers, variations
-from tss_ros.core.motion.propagator import Flow
-from tss_ros.core.stability.shooting import turn
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.stability.shooting import integrate_turn
 
 #: make(problem, tolerance, **options) gives a function that runs the case; events: whether it
 #: locates slack/taut switches; loosest, tightest: exponents of the tolerances tried.
@@ -12,24 +12,24 @@ Solver = namedtuple("Solver", "make options events loosest tightest")
 
 
 def ours(problem, tolerance, **options):
-    """This package's integrator, as `core.motion.Flow` with these options."""
-    flow = Flow(problem.system, problem.spin, tolerance, problem.radius, **options)
+    """This package's integrator, as `core.motion.Integrator` with these options."""
+    integrator = Integrator(problem.system, problem.spin, tolerance, problem.radius, **options)
 
     def run():
-        motion = flow.begin(problem.start)
-        flow.advance(motion, problem.end_s)
-        run.switches = int(motion.count[3])
+        motion = integrator.begin(problem.start)
+        integrator.advance(motion, problem.end_s)
+        run.switches = motion.switches
         return problem.from_turning([*motion.v.ravel(), *motion.r.ravel()])
 
     return run
 
 
 def our_monodromy(problem, tolerance, segments=1, **options):
-    """This package's monodromy matrix, `core.periodic.turn`."""
-    flow = Flow(problem.system, problem.spin, tolerance, problem.radius, **options)
+    """This package's monodromy matrix, `core.stability.shooting.integrate_turn`."""
+    integrator = Integrator(problem.system, problem.spin, tolerance, problem.radius, **options)
 
     def run():
-        found = turn(flow, problem.start, segments=segments)
+        found = integrate_turn(integrator, problem.start, segments=segments)
         run.switches = found.switches
         return found.matrix
 

@@ -21,13 +21,14 @@ from tss_ros.core import (
     tether_state,
 )
 from tss_ros.core.model import forces
+from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import MU_EARTH
 
 
 def kernel_acceleration(system, position, velocity, spin=0.0, time=0.0):
     a = np.empty_like(position)
     taut = tether_state(system, position, velocity)[2] | system.bilateral
-    forces.acceleration(forces.plant(system, spin), taut, time, velocity, position, a)
+    forces.acceleration(kernel_arrays(system, spin), taut, time, velocity, position, a)
     return a
 
 
@@ -84,8 +85,8 @@ def test_jacobian_is_the_derivative_of_the_acceleration(seed, linear):
     symbolic = block_lu.analyse(system.n, system.tether_ends)
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
     taut = tether_state(system, position, velocity)[2]
-    plant, time = forces.plant(system, -2.5e-3), 321.0
-    forces.jacobian(plant, symbolic.pair, taut, time, velocity, position, by_r, by_v)
+    arrays, time = kernel_arrays(system, -2.5e-3), 321.0
+    forces.jacobian(arrays, symbolic.pair, taut, time, velocity, position, by_r, by_v)
     rng = np.random.default_rng(seed)
     for blocks, h in ((by_r, 1e-2), (by_v, 1e-3)):
         direction = rng.normal(size=(system.n, 3))
@@ -94,7 +95,7 @@ def test_jacobian_is_the_derivative_of_the_acceleration(seed, linear):
             r = position + sign * h * direction * (blocks is by_r)
             v = velocity + sign * h * direction * (blocks is by_v)
             a = np.empty_like(r)
-            forces.acceleration(plant, taut, time, v, r, a)
+            forces.acceleration(arrays, taut, time, v, r, a)
             sides.append(a)
         expected = np.zeros((system.n, 3))
         for block, i, j in zip(blocks, symbolic.row, symbolic.column):
@@ -158,11 +159,11 @@ def test_averaged_state_balances_the_mean_force_over_a_turn(system):
     """The mean of the turning frame's linearised forces over one turn vanishes on it."""
     spin = system.spin_rate_rad_s(-2.9)
     state = averaged_state(system, -2.9)
-    plant = forces.plant(replace(system, linear_gravity=True), spin)
+    arrays = kernel_arrays(replace(system, linear_gravity=True), spin)
     taut = np.ones(system.m, dtype=bool)
     mean, a = np.zeros((system.n, 3)), np.empty((system.n, 3))
     for time in np.arange(8) * (2 * math.pi / abs(spin)) / 8:
-        forces.acceleration(plant, taut, time, np.zeros((system.n, 3)), state.position_m, a)
+        forces.acceleration(arrays, taut, time, np.zeros((system.n, 3)), state.position_m, a)
         mean += a / 8
     scale = spin**2 * np.abs(state.position_m).max()
     assert np.abs(mean).max() < 1e-8 * scale

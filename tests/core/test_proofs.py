@@ -20,11 +20,11 @@ from tss_ros.core import (
     ring,
     sweep,
 )
-from tss_ros.core.model.configurations import rotating
+from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.symmetry import cyclic_symmetry
-from tss_ros.core.motion.propagator import Flow
+from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.proofs import liouville_error, segment_error
-from tss_ros.core.stability.shooting import turn
+from tss_ros.core.stability.shooting import integrate_turn
 from tss_ros.scenarios import scenario
 
 
@@ -55,12 +55,12 @@ def test_every_matrix_proves_itself_through_slack_too(system, w, fewest_switches
 def test_the_proofs_fail_where_they_should():
     system = ring(damping_n_s_per_m=100.0)
     result = compute_floquet(system, -2.5, certify=False)
-    latest = turn(Flow(system, result.spin_rate_rad_s, 1e-9, 5773.0), result.state)
+    latest = integrate_turn(Integrator(system, result.spin_rate_rad_s, 1e-9, 5773.0), result.state)
     assert segment_error(latest, np.isfinite) < 1e-3
     wrong = replace(latest, matrix=latest.matrix * 1.01)
     assert segment_error(wrong, np.isfinite) > 5e-3
-    loose = Flow(system, result.spin_rate_rad_s, 1e-3, 5773.0)
-    assert liouville_error(replace(latest, flow=loose)) > 10 * liouville_error(latest)
+    loose = Integrator(system, result.spin_rate_rad_s, 1e-3, 5773.0)
+    assert liouville_error(replace(latest, integrator=loose)) > 10 * liouville_error(latest)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_symmetry_finds_motions_that_start_far_from_closing():
     start = initial_state(ring(6), -2.9)
     position, velocity = Propagator(ring(6), -2.9, start).sample(np.array([result.period_s]))
     position, velocity = position[0] - start.position_m, velocity[0] - start.velocity_m_s
-    velocity -= rotating(position, result.spin_rate_rad_s)
+    velocity -= rigid_velocity(position, result.spin_rate_rad_s)
     size = np.max(np.linalg.norm(start.position_m, axis=1))
     missed_by = np.hypot(
         np.linalg.norm(position) / size,
@@ -124,12 +124,12 @@ def test_a_matrix_that_proves_chaotic_is_judged_with_infinite_error():
     system = ring(damping_n_s_per_m=1.0)
     result = compute_floquet(system, -2.2, correct=False, certify=False)
     assert result.max_modulus > 1e3
-    flow = Flow(system, result.spin_rate_rad_s, 1e-9, 5773.0)
-    latest = turn(flow, result.state)
+    integrator = Integrator(system, result.spin_rate_rad_s, 1e-9, 5773.0)
+    latest = integrate_turn(integrator, result.state)
     assert segment_error(latest, np.isfinite) < 1e-6 * result.max_modulus
-    loose = Flow(system, result.spin_rate_rad_s, 1e-9, 5773.0)
+    loose = Integrator(system, result.spin_rate_rad_s, 1e-9, 5773.0)
     loose.rtol = 0.5
-    assert segment_error(replace(latest, flow=loose), np.isfinite) == math.inf
+    assert segment_error(replace(latest, integrator=loose), np.isfinite) == math.inf
 
 
 def test_no_steady_configuration_is_a_verdict():

@@ -15,12 +15,13 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
-from tss_ros.core.model.configurations import rotating
+from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.motion import displacements
-from tss_ros.core.motion.propagator import Flow, Propagator
-from tss_ros.core.stability.harmonic_balance import closed
-from tss_ros.core.stability.leading_multipliers import arnoldi
-from tss_ros.core.stability.shooting import closure, corrected, turn
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.propagator import Integrator, Propagator
+from tss_ros.core.numerics.arnoldi import arnoldi
+from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
+from tss_ros.core.stability.shooting import close_by_shooting, closure, integrate_turn
 
 
 def long_ring(beads, satellites=3, **options):
@@ -31,7 +32,7 @@ def long_ring(beads, satellites=3, **options):
 
 def flow_of(system, ratio, state, rtol=1e-9):
     length = np.max(np.linalg.norm(state.position_m, axis=1))
-    return Flow(system, system.spin_rate_rad_s(ratio), rtol, length)
+    return Integrator(system, system.spin_rate_rad_s(ratio), rtol, length)
 
 
 @pytest.mark.parametrize("count", [3, 300, 10_000])
@@ -63,17 +64,17 @@ def test_variations_of_a_coupled_motion_are_its_differences():
     """Central differences of the nonlinear motion of 12 beads that leaves the orbit plane."""
     system = long_ring(12)
     start = disturbed(averaged_state(system, -6.0), 30.0, seed=2)
-    flow = flow_of(system, -6.0, start, 1e-11)
-    scale = np.repeat([flow.control.speed, flow.control.length], 36)
+    integrator = flow_of(system, -6.0, start, 1e-11)
+    scale = np.repeat([integrator.settings.speed, integrator.settings.length], 36)
     along = np.random.default_rng(1).standard_normal((72, 3))
-    _, carried = displacements.carry(flow, flow.begin(start), along, 300.0)
+    _, carried = carry_displacements(integrator, integrator.begin(start), along, 300.0)
 
     def end(column, size):
-        motion = flow.begin(start)
+        motion = integrator.begin(start)
         step = size * along[:, column] * scale
         motion.v[:] += step[:36].reshape(12, 3)
         motion.r[:] += step[36:].reshape(12, 3)
-        flow.advance(motion, 300.0)
+        integrator.advance(motion, 300.0)
         return np.concatenate([motion.v.ravel(), motion.r.ravel()]) / scale
 
     for column in range(3):
@@ -86,16 +87,17 @@ def test_columns_in_blocks_on_any_number_of_cores(monkeypatch):
     """The same bits from one worker and four, and the matrix of one block within its accuracy."""
     system = long_ring(30)
     start = averaged_state(system, -10.0)
-    flow = flow_of(system, -10.0, start)
+    integrator = flow_of(system, -10.0, start)
     matrices = []
     for workers in (1, 4):
         with ThreadPoolExecutor(workers) as pool:
             monkeypatch.setattr(displacements, "_pool", lambda pool=pool: pool)
-            matrices.append(turn(flow, start).matrix)
+            matrices.append(integrate_turn(integrator, start).matrix)
     assert np.array_equal(*matrices)
     monkeypatch.setattr(displacements, "BLOCK", 180)
-    period = 2.0 * math.pi / abs(flow.plant.spin)
-    whole = displacements.carry(flow, flow.begin(start), np.eye(180), period, width=180)[1]
+    period = 2.0 * math.pi / abs(integrator.arrays.spin)
+    begin, identity = integrator.begin(start), np.eye(180)
+    whole = carry_displacements(integrator, begin, identity, period, width=180)[1]
     np.testing.assert_allclose(matrices[0], whole, atol=1e-7 * np.abs(whole).max())
     flat = np.arange(180) % 3 != 2
     assert not matrices[0][np.ix_(flat, ~flat)].any()  # a planar motion
@@ -133,9 +135,9 @@ def test_leading_multiplier_of_the_axis_tilt_is_the_closed_form():
 def test_harmonic_balance_closes_a_motion(beads, satellites, ratio):
     system = long_ring(beads, satellites)
     start = averaged_state(system, ratio)
-    flow = flow_of(system, ratio, start)
-    before, _ = closure(flow, start)
-    after, _ = closure(flow, closed(flow, start))
+    integrator = flow_of(system, ratio, start)
+    before = closure(integrator, start).residual
+    after = closure(integrator, close_by_harmonic_balance(integrator, start)).residual
     assert np.linalg.norm(after) < 1e-4
     assert np.linalg.norm(before) > 50.0 * np.linalg.norm(after)
 
@@ -143,25 +145,25 @@ def test_harmonic_balance_closes_a_motion(beads, satellites, ratio):
 def test_harmonic_balance_finds_the_motion_that_shooting_does():
     system = long_ring(12)
     start = averaged_state(system, -10.0)
-    flow = flow_of(system, -10.0, start)
-    balanced = closed(flow, start)
-    whole = corrected(flow, [start])[0]
+    integrator = flow_of(system, -10.0, start)
+    balanced = close_by_harmonic_balance(integrator, start)
+    whole = close_by_shooting(integrator, [start])[0]
     # The phase of the spin is free.
-    around = rotating(whole.start.position_m, 1.0).ravel()
+    around = rigid_velocity(whole.start.position_m, 1.0).ravel()
     apart = (balanced.position_m - whole.start.position_m).ravel()
     apart -= apart @ around / (around @ around) * around
     away = (start.position_m - whole.start.position_m).ravel()
     assert np.linalg.norm(apart) < 0.02 * np.linalg.norm(away)
-    assert np.linalg.norm(closure(flow, balanced)[0]) < 4.0 * whole.closure_residual
+    assert closure(integrator, balanced).residual < 4.0 * whole.closure_residual
 
 
 def test_what_a_long_ring_leaves_open_is_the_spin_that_damping_takes():
     """Sum of C l'^2 over a turn, taken from the energy I w^2 / 2 of the spin, as loss of speed."""
     system = long_ring(102)
     state = averaged_state(system, -10.0)
-    flow = flow_of(system, -10.0, state)
-    start = closed(flow, state)
-    residual = np.linalg.norm(closure(flow, start)[0])
+    integrator = flow_of(system, -10.0, state)
+    start = close_by_harmonic_balance(integrator, state)
+    residual = closure(integrator, start).residual
     motion = Propagator(system, -10.0, start)
     r, v = motion.sample(motion.period_s * np.arange(200) / 200)
     first, second = system.tether_ends.T
@@ -169,8 +171,8 @@ def test_what_a_long_ring_leaves_open_is_the_spin_that_damping_takes():
     growth = np.sum(e * w, axis=2) / np.linalg.norm(e, axis=2)
     loss = np.mean(np.sum(system.damping_n_s_per_m * growth**2, axis=1)) * motion.period_s
     inertia = system.mass_kg @ np.sum(r[0] ** 2, axis=1)
-    slower = loss / (inertia * flow.plant.spin**2)
-    predicted = slower * np.linalg.norm(r[0]) / flow.control.length
+    slower = loss / (inertia * integrator.arrays.spin**2)
+    predicted = slower * np.linalg.norm(r[0]) / integrator.settings.length
     assert residual == pytest.approx(predicted, rel=0.05)
     assert residual < 1e-5
 
@@ -180,7 +182,7 @@ def test_harmonic_balance_is_cancelled():
     state = averaged_state(system, -10.0)
     looks = iter([False])
     with pytest.raises(Cancelled, match="balancing 8 harmonics"):
-        closed(flow_of(system, -10.0, state), state, lambda: next(looks, True))
+        close_by_harmonic_balance(flow_of(system, -10.0, state), state, lambda: next(looks, True))
 
 
 def test_nothing_is_called_stable_while_multipliers_are_missing(monkeypatch):

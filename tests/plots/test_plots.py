@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from tss_ros import plots
-from tss_ros.core.stability import floquet
+from tss_ros import core, plots
 from tss_ros.plots.style import VERDICT_STYLES
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
@@ -91,7 +90,7 @@ def test_deviation_from_the_origin_alone_has_one_panel():
 
 
 def test_every_verdict_has_a_marker_of_its_own():
-    markers = [VERDICT_STYLES[verdict]["marker"] for verdict in floquet.VERDICTS]
+    markers = [VERDICT_STYLES[verdict]["marker"] for verdict in core.VERDICTS]
     assert len(set(markers)) == len(markers) == len(VERDICT_STYLES)
 
 

@@ -13,9 +13,10 @@ from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
-from tss_ros.core.stability.floquet import METHODS, VERDICTS, FloquetResult, compute_floquet
+from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.modes import FAMILIES
 from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
 
 __all__ = [
     "CAUSES",

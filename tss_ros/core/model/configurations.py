@@ -1,6 +1,10 @@
 """Initial configurations: the paper's, Eqs. (50), (51), (54), and the averaged rotating state."""
 
+from __future__ import annotations
+
+import contextlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +12,9 @@ from scipy.optimize import root
 
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
-from tss_ros.core.model.system import State, finite
+from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.numerics import block_lu
 
 
@@ -25,7 +31,7 @@ class InitialState(State):
     origin: str = ""
 
 
-def initial_state(system, spin_rate_ratio):
+def initial_state(system: System, spin_rate_ratio: float) -> InitialState:
     """Steady configuration to start from at time 0: the paper's where it has one.
 
     Parameters
@@ -45,14 +51,31 @@ def initial_state(system, spin_rate_ratio):
     NoSteadyState
         If no steady configuration was found.
     """
+    return next(initial_states(system, spin_rate_ratio))
+
+
+def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialState]:
+    """Steady configurations to start from, the best known one first.
+
+    Parameters and errors as `initial_state`; the errors are those of the first.
+
+    Yields
+    ------
+    InitialState
+        The paper's where it has one, then that of the averaged gravity gradient.
+    """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     units = ring_units(system)
-    if units and system.n // units <= 2:
-        return _paper_configuration(system, spin, units)
-    return averaged_state(system, spin_rate_ratio)
+    if not units or system.n // units > 2:
+        yield averaged_state(system, spin_rate_ratio)
+        return
+    yield _paper_configuration(system, spin, units)
+    with contextlib.suppress(NoSteadyState):
+        averaged = averaged_state(system, spin_rate_ratio)
+        yield averaged
 
 
-def ring_units(system):
+def ring_units(system: System) -> int:
     """Number of satellites if the system is a ring of equal units, Eq. (4), else 0."""
     n, units = system.n, int(np.count_nonzero(system.is_satellite))
     if system.m != n or units < 3 or n % units:
@@ -68,28 +91,22 @@ def ring_units(system):
     return units
 
 
-def rotating(position_m, spin_rate_rad_s):
-    """Velocities omega z cross r of a rigid turn in the orbit frame, (n, 3) [m/s]."""
-    x, y = position_m[:, 0], position_m[:, 1]
-    return spin_rate_rad_s * np.stack([-y, x, np.zeros_like(x)], axis=1)
-
-
 def _paper_configuration(system, spin, units):
     """Solve Eq. (51), or (54) with one bead between satellites, for the radii R_1 (and R_2)."""
     per_unit = system.n // units
     angle = math.pi / 2 + 2.0 * math.pi * np.arange(system.n) / system.n
     outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)
-    plant = forces.plant(system, 0.0)
+    arrays = kernel_arrays(system, 0.0)
     taut = np.ones(system.m, dtype=bool)
     acceleration = np.empty((system.n, 3))
 
     def state(radii):
         position = np.tile(radii, units)[:, None] * outward
-        return position, rotating(position, spin)
+        return position, rigid_velocity(position, spin)
 
     def imbalance(radii):
         position, velocity = state(radii)
-        forces.acceleration(plant, taut, 0.0, velocity, position, acceleration)
+        forces.acceleration(arrays, taut, 0.0, velocity, position, acceleration)
         radial = np.sum(acceleration * outward, axis=1)[:per_unit]
         return radial + spin**2 * radii
 
@@ -110,7 +127,7 @@ def _paper_configuration(system, spin, units):
     return InitialState(*state(solution.x), "Eqs. 50-51" if per_unit == 1 else "Eq. 54")
 
 
-def averaged_state(system, spin_rate_ratio):
+def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     """Rotating equilibrium under the gravity gradient averaged over one turn, 1.5 Omega^2 in plane.
 
     Parameters
@@ -134,7 +151,7 @@ def averaged_state(system, spin_rate_ratio):
     outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
     # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin of
     # sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
-    plant = forces.plant(system, math.sqrt(outward))._replace(rate=0.0, bilateral=True)
+    arrays = kernel_arrays(system, math.sqrt(outward))._replace(rate=0.0, bilateral=True)
     symbolic = block_lu.analyse(system.n, system.tether_ends)
     taut = np.ones(system.m, dtype=bool)
     mass = system.mass_kg
@@ -143,7 +160,7 @@ def averaged_state(system, spin_rate_ratio):
     by_r, by_v = np.empty((2, symbolic.blocks, 3, 3))
 
     def imbalance(position):
-        forces.acceleration(plant, taut, 0.0, still, position, acceleration)
+        forces.acceleration(arrays, taut, 0.0, still, position, acceleration)
         acceleration[:, 2] -= rate**2 * position[:, 2]
         return (mass[:, None] * acceleration).ravel()
 
@@ -154,16 +171,16 @@ def averaged_state(system, spin_rate_ratio):
     place *= 1.0 + min(max(strain, 1e-9), 0.05)
     scale = outward * radius * np.mean(mass)
     pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
-    rounding = 8 * np.finfo(float).eps * radius * np.max(plant.stiffness) / scale
+    rounding = 8 * np.finfo(float).eps * radius * np.max(arrays.stiffness) / scale
     for _ in range(10):
         force = imbalance(place)
         for _ in range(200):
             if np.max(np.abs(force)) < 1e-12 * scale:
                 break
-            forces.jacobian(plant, symbolic.pair, taut, 0.0, still, place, by_r, by_v)
+            forces.jacobian(arrays, symbolic.pair, taut, 0.0, still, place, by_r, by_v)
             by_r[: system.n, 2, 2] -= rate**2
             # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
-            along = rotating(place[pinned : pinned + 1], 1.0)[0] / radius
+            along = rigid_velocity(place[pinned : pinned + 1], 1.0)[0] / radius
             by_r[pinned] -= np.max(np.abs(by_r[pinned])) * np.outer(along, along)
             block_lu.factor(symbolic, by_r)
 
@@ -195,10 +212,10 @@ def averaged_state(system, spin_rate_ratio):
             f"no steady configuration found for spin_rate_ratio"
             f" {spin_rate_ratio:g}: forces are left with a relative imbalance of {left:.1e}"
         )
-    return InitialState(place, rotating(place, spin), "averaged gravity gradient")
+    return InitialState(place, rigid_velocity(place, spin), "averaged gravity gradient")
 
 
-def disturbed(state, disturbance_m, seed=0):
+def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:
     """Displace every bead by a seeded random vector.
 
     Parameters
@@ -220,7 +237,7 @@ def disturbed(state, disturbance_m, seed=0):
     )
 
 
-def deviation(position_m, reference_radius_m):
+def deviation(position_m: np.ndarray, reference_radius_m: float | np.ndarray) -> np.ndarray:
     """Relative deviation d_i = |r_i| / R_0 - 1, Eq. (53).
 
     Parameters

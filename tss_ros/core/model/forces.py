@@ -10,42 +10,20 @@ formation is nearly at rest in this frame, and setting omega = 0 gives the orbit
 """
 
 import math
-from collections import namedtuple
 
 import numpy as np
 
+from tss_ros.core.model.system import System
 from tss_ros.core.numerics.simd import kernel
-
-#: The system as the kernels see it. ends (m,2); inv_mass (n,) [1/kg]; rest (m,) [m]; stiffness (m,)
-#: EA/L [N/m]; damping (m,) [N s/m]; rate Omega and spin omega [rad/s]; radius R [m].
-Plant = namedtuple(
-    "Plant", "ends inv_mass rest stiffness damping rate radius spin linear_gravity bilateral"
-)
-
-
-def plant(system, spin_rate_rad_s):
-    """Lay a `System` out for the kernels, in the frame that turns at `spin_rate_rad_s`."""
-    return Plant(
-        np.array(system.tether_ends),
-        1.0 / system.mass_kg,
-        np.array(system.rest_length_m),
-        system.axial_stiffness_n / system.rest_length_m,
-        np.array(system.damping_n_s_per_m),
-        float(system.orbit_rate_rad_s),
-        float(system.orbit_radius_m),
-        float(spin_rate_rad_s),
-        bool(system.linear_gravity),
-        bool(system.bilateral),
-    )
 
 
 @kernel
-def acceleration(plant, taut, time, v, r, a):
+def acceleration(arrays, taut, time, v, r, a):
     """Accelerations of all beads, Eq. (1), in the turning frame.
 
     Parameters
     ----------
-    plant : Plant
+    arrays : KernelArrays
     taut : ndarray, shape (m,), bool
         The switch s of Eq. (5), held fixed by the caller.
     time : float
@@ -60,36 +38,36 @@ def acceleration(plant, taut, time, v, r, a):
     Gravity and centrifugal force cancel to about one part in a million. Their sum is written with
     f = 1 - (1 + u)^(-3/2), u = (|q|^2 - R^2) / R^2, in a form free of that cancellation.
     """
-    upx, upy = math.sin(plant.spin * time), math.cos(plant.spin * time)
-    rate2 = plant.rate * plant.rate
-    centrifugal = plant.spin * (plant.spin + 2.0 * plant.rate)
-    coriolis = 2.0 * (plant.rate + plant.spin)
+    upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
+    rate2 = arrays.rate * arrays.rate
+    centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
+    coriolis = 2.0 * (arrays.rate + arrays.spin)
     for i in range(r.shape[0]):
         x, y, z = r[i, 0], r[i, 1], r[i, 2]
         up = x * upx + y * upy
-        if plant.linear_gravity:
+        if arrays.linear_gravity:
             gx, gy, gz = 3.0 * up * upx, 3.0 * up * upy, -z
         else:
-            u = (2.0 * up + (x * x + y * y + z * z) / plant.radius) / plant.radius
+            u = (2.0 * up + (x * x + y * y + z * z) / arrays.radius) / arrays.radius
             p = (1.0 + u) * math.sqrt(1.0 + u)
             f = u * (3.0 + u * (3.0 + u)) / (p * (1.0 + p))
-            gx = f * (x + plant.radius * upx)
-            gy = f * (y + plant.radius * upy)
+            gx = f * (x + arrays.radius * upx)
+            gy = f * (y + arrays.radius * upy)
             gz = f * z - z
         a[i, 0] = rate2 * gx + centrifugal * x + coriolis * v[i, 1]
         a[i, 1] = rate2 * gy + centrifugal * y - coriolis * v[i, 0]
         a[i, 2] = rate2 * gz
-    for k in range(plant.ends.shape[0]):
+    for k in range(arrays.ends.shape[0]):
         if taut[k]:
-            i, j = plant.ends[k, 0], plant.ends[k, 1]
+            i, j = arrays.ends[k, 0], arrays.ends[k, 1]
             ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
             length = math.sqrt(ex * ex + ey * ey + ez * ez)
             closing = (
                 ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
             ) / length
-            pull = plant.stiffness[k] * (length - plant.rest[k]) + plant.damping[k] * closing
+            pull = arrays.stiffness[k] * (length - arrays.rest[k]) + arrays.damping[k] * closing
             pull /= length
-            pi, pj = pull * plant.inv_mass[i], pull * plant.inv_mass[j]
+            pi, pj = pull * arrays.inv_mass[i], pull * arrays.inv_mass[j]
             a[i, 0] -= pi * ex
             a[i, 1] -= pi * ey
             a[i, 2] -= pi * ez
@@ -99,39 +77,40 @@ def acceleration(plant, taut, time, v, r, a):
 
 
 @kernel
-def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
+def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     """Derivatives of `acceleration` by position and velocity, the blocks A and B of Eq. (52).
 
     Parameters
     ----------
-    plant, taut, time, v, r
+    arrays, taut, time, v, r
         As for `acceleration`.
     pair : ndarray, shape (m, 2)
         Where the blocks (i, j) and (j, i) of each tether are stored (`blocklu.Symbolic.pair`).
     by_r, by_v : ndarray, shape (at least n + 2m, 3, 3)
         Overwritten: da/dr [1/s^2] and da/dv [1/s]; block i < n is the diagonal one of bead i.
     """
-    upx, upy = math.sin(plant.spin * time), math.cos(plant.spin * time)
-    rate2 = plant.rate * plant.rate
-    centrifugal = plant.spin * (plant.spin + 2.0 * plant.rate)
-    coriolis = 2.0 * (plant.rate + plant.spin)
+    upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
+    rate2 = arrays.rate * arrays.rate
+    centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
+    coriolis = 2.0 * (arrays.rate + arrays.spin)
     by_r[:] = 0.0
     by_v[:] = 0.0
     for i in range(r.shape[0]):
         d = by_r[i]
-        if plant.linear_gravity:
+        if arrays.linear_gravity:
             d[0, 0] = 3.0 * rate2 * upx * upx + centrifugal
             d[1, 1] = 3.0 * rate2 * upy * upy + centrifugal
             d[0, 1] = d[1, 0] = 3.0 * rate2 * upx * upy
             d[2, 2] = -rate2
         else:
             x, y, z = r[i, 0], r[i, 1], r[i, 2]
-            u = (2.0 * (x * upx + y * upy) + (x * x + y * y + z * z) / plant.radius) / plant.radius
+            up = x * upx + y * upy
+            u = (2.0 * up + (x * x + y * y + z * z) / arrays.radius) / arrays.radius
             root = math.sqrt(1.0 + u)
             p = (1.0 + u) * root
             f = u * (3.0 + u * (3.0 + u)) / (p * (1.0 + p))
             steep = 3.0 * rate2 / (p * (1.0 + u))
-            qx, qy, qz = x / plant.radius + upx, y / plant.radius + upy, z / plant.radius
+            qx, qy, qz = x / arrays.radius + upx, y / arrays.radius + upy, z / arrays.radius
             d[0, 0] = rate2 * f + steep * qx * qx + centrifugal
             d[1, 1] = rate2 * f + steep * qy * qy + centrifugal
             d[2, 2] = rate2 * (f - 1.0) + steep * qz * qz
@@ -140,20 +119,20 @@ def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
             d[1, 2] = d[2, 1] = steep * qy * qz
         by_v[i, 0, 1] = coriolis
         by_v[i, 1, 0] = -coriolis
-    for k in range(plant.ends.shape[0]):
+    for k in range(arrays.ends.shape[0]):
         if taut[k]:
-            i, j = plant.ends[k, 0], plant.ends[k, 1]
+            i, j = arrays.ends[k, 0], arrays.ends[k, 1]
             e = (r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2])
             w = (v[i, 0] - v[j, 0], v[i, 1] - v[j, 1], v[i, 2] - v[j, 2])
             length2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
             closing = e[0] * w[0] + e[1] * w[1] + e[2] * w[2]
             length = math.sqrt(length2)
-            damping = plant.damping[k]
+            damping = arrays.damping[k]
             across = (
-                plant.stiffness[k] * (length - plant.rest[k]) + damping * closing / length
+                arrays.stiffness[k] * (length - arrays.rest[k]) + damping * closing / length
             ) / length
-            along = plant.stiffness[k] - across - damping * closing / length2
-            mi, mj = plant.inv_mass[i], plant.inv_mass[j]
+            along = arrays.stiffness[k] - across - damping * closing / length2
+            mi, mj = arrays.inv_mass[i], arrays.inv_mass[j]
             ij, ji = pair[k, 0], pair[k, 1]
             for p in range(3):
                 for q in range(3):
@@ -173,27 +152,29 @@ def jacobian(plant, pair, taut, time, v, r, by_r, by_v):
 
 
 @kernel
-def stretch(plant, v, r, excess, growth):
+def stretch(arrays, v, r, excess, growth):
     """Length beyond the rest length and its rate for every tether, g = l - L and l' of Eq. (6).
 
     Parameters
     ----------
-    plant : Plant
+    arrays : KernelArrays
     v, r : ndarray, shape (n, 3)
     excess, growth : ndarray, shape (m,)
         Overwritten: [m] and [m/s].
     """
-    for k in range(plant.ends.shape[0]):
-        i, j = plant.ends[k, 0], plant.ends[k, 1]
+    for k in range(arrays.ends.shape[0]):
+        i, j = arrays.ends[k, 0], arrays.ends[k, 1]
         ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
         length = math.sqrt(ex * ex + ey * ey + ez * ez)
-        excess[k] = length - plant.rest[k]
+        excess[k] = length - arrays.rest[k]
         growth[k] = (
             ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
         ) / length
 
 
-def tether_state(system, position_m, velocity_m_s):
+def tether_state(
+    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Length, tension and tautness of every tether segment, Eqs. (3), (5), (6).
 
     Parameters

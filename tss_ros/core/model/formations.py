@@ -4,7 +4,10 @@ Every formation is made of satellites and the tethers between them. A tether may
 that carry its mass; its segments then take its name (section 2.1 of the paper, Fig. 1).
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +25,7 @@ class Satellite:
 
     name: str
     mass_kg: float
-    position_m: tuple
+    position_m: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -40,14 +43,20 @@ class Tether:
     """
 
     name: str
-    ends: tuple
-    length_m: tuple
-    axial_stiffness_n: tuple
-    damping_n_s_per_m: tuple
-    bead_mass_kg: tuple = ()
+    ends: tuple[int, int]
+    length_m: tuple[float, ...]
+    axial_stiffness_n: tuple[float, ...]
+    damping_n_s_per_m: tuple[float, ...]
+    bead_mass_kg: tuple[float, ...] = ()
 
 
-def assemble(satellites, tethers, orbit_altitude_m=1.0e6, linear_gravity=False, bilateral=False):
+def assemble(
+    satellites: Sequence[Satellite],
+    tethers: Sequence[Tether],
+    orbit_altitude_m: float = 1.0e6,
+    linear_gravity: bool = False,
+    bilateral: bool = False,
+) -> System:
     """Build the `System` of any tether graph.
 
     In a ring the beads are numbered along it, satellite 1, its tether's beads, satellite 2, ...,
@@ -139,19 +148,29 @@ FORMATIONS = {
 _EXTRA_MASSES = {"hub_and_spoke": 1, "closed_hub_and_spoke": 1, "double_pyramid": 2}
 
 
+#: Table 1: masses [kg], tether length [m], EA [N] and altitude [m]. It states no damping; with this
+#: one [N s/m] tethers of the 3-star first go slack at the paper's critical rate.
+MASS_KG, BEAD_MASS_KG = 100.0, 10.0
+LENGTH_M, STIFFNESS_N, ALTITUDE_M = 1.0e4, 5.0e4, 1.0e6
+DAMPING_N_S_PER_M = 1450.0
+#: One value for all, or several.
+Values = "float | Sequence[float]"
+
+
 def formation(
-    shape,
-    satellites=3,
-    satellite_mass_kg=100.0,
-    tether_length_m=1.0e4,
-    axial_stiffness_n=5.0e4,
-    damping_n_s_per_m=1450.0,
-    beads_per_tether=0,
-    bead_mass_kg=10.0,
-    orbit_altitude_m=1.0e6,
-    linear_gravity=False,
-    bilateral=False,
-):
+    shape: str,
+    satellites: int = 3,
+    *,
+    satellite_mass_kg: Values = MASS_KG,
+    tether_length_m: Values = LENGTH_M,
+    axial_stiffness_n: Values = STIFFNESS_N,
+    damping_n_s_per_m: Values = DAMPING_N_S_PER_M,
+    beads_per_tether: int | Sequence[int] = 0,
+    bead_mass_kg: Values = BEAD_MASS_KG,
+    orbit_altitude_m: float = ALTITUDE_M,
+    linear_gravity: bool = False,
+    bilateral: bool = False,
+) -> System:
     """Build one of the named formations; the defaults are Table 1.
 
     Parameters
@@ -212,25 +231,53 @@ def formation(
     damping = _spread("damping_n_s_per_m", damping_n_s_per_m, by_segment, series=1, at_least=0.0)
     lengths = _spread("tether_length_m", tether_length_m, by_segment, series=-1, above=0.0)
     bead_mass = _spread("bead_mass_kg", bead_mass_kg, {"tether": beads}, above=0.0)
-    tethers, segment, bead = [], 0, 0
-    for k, (ends, inner) in enumerate(zip(graph, beads)):
-        own = slice(segment, segment + inner + 1)
-        tethers.append(
-            Tether(
-                f"tether_{k + 1}", ends, tuple(lengths[own]), tuple(stiffness[own]),
-                tuple(damping[own]), tuple(bead_mass[bead : bead + inner]),
-            )
-        )
-        segment, bead = own.stop, bead + inner
+    tethers = _tethers(graph, beads, (lengths, stiffness, damping), bead_mass)
     total = [math.fsum(tether.length_m) for tether in tethers]
     places, names = _shape(shape, count, total)
     nodes = [Satellite(*node) for node in zip(names, mass, places)]
     return assemble(nodes, tethers, orbit_altitude_m, linear_gravity, bilateral)
 
 
-def ring(satellites=3, **parameters):
+def ring(
+    satellites: int = 3,
+    *,
+    satellite_mass_kg: Values = MASS_KG,
+    tether_length_m: Values = LENGTH_M,
+    axial_stiffness_n: Values = STIFFNESS_N,
+    damping_n_s_per_m: Values = DAMPING_N_S_PER_M,
+    beads_per_tether: int | Sequence[int] = 0,
+    bead_mass_kg: Values = BEAD_MASS_KG,
+    orbit_altitude_m: float = ALTITUDE_M,
+    linear_gravity: bool = False,
+    bilateral: bool = False,
+) -> System:
     """Build a ring of n satellites, the paper's formation; see `formation`."""
-    return formation("ring", satellites, **parameters)
+    return formation(
+        "ring",
+        satellites,
+        satellite_mass_kg=satellite_mass_kg,
+        tether_length_m=tether_length_m,
+        axial_stiffness_n=axial_stiffness_n,
+        damping_n_s_per_m=damping_n_s_per_m,
+        beads_per_tether=beads_per_tether,
+        bead_mass_kg=bead_mass_kg,
+        orbit_altitude_m=orbit_altitude_m,
+        linear_gravity=linear_gravity,
+        bilateral=bilateral,
+    )
+
+
+def _tethers(graph, beads, by_segment, bead_mass):
+    """The tethers of a graph, from values by segment (lengths, EA, C) and the masses of beads."""
+    tethers, segment, bead = [], 0, 0
+    for k, (ends, inner) in enumerate(zip(graph, beads)):
+        own = slice(segment, segment + inner + 1)
+        values = (tuple(value[own]) for value in by_segment)
+        tethers.append(
+            Tether(f"tether_{k + 1}", ends, *values, tuple(bead_mass[bead : bead + inner]))
+        )
+        segment, bead = own.stop, bead + inner
+    return tethers
 
 
 def _graph(shape, n):

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tss_ros.core.model.frames import rotated_about_z
+from tss_ros.core.model.system import System
+
 
 @dataclass(frozen=True)
 class Symmetry:
@@ -28,7 +31,7 @@ class Symmetry:
     order: int
     successor: np.ndarray
 
-    def back(self, clockwise, x):
+    def back(self, clockwise: bool, x: np.ndarray) -> np.ndarray:
         """Rotate and rename scaled coordinates (6n, ...) so that 1/k of a turn becomes none.
 
         Parameters
@@ -44,11 +47,8 @@ class Symmetry:
             In the turning frame at time 0, each bead's row with the one whose place it took.
         """
         angle = 2.0 * math.pi / self.order * (-1.0 if clockwise else 1.0)
-        c, s = math.cos(angle), math.sin(angle)
         before = x.reshape(2, self.successor.size, 3, -1)
-        turned = np.array(before)
-        turned[:, :, 0] = c * before[:, :, 0] - s * before[:, :, 1]
-        turned[:, :, 1] = s * before[:, :, 0] + c * before[:, :, 1]
+        turned = np.moveaxis(rotated_about_z(np.moveaxis(before, 2, -1), angle), -1, 2)
         after = np.empty_like(turned)
         if clockwise:
             after[:] = turned[:, self.successor]
@@ -57,7 +57,7 @@ class Symmetry:
         return after.reshape(x.shape)
 
 
-def cyclic_symmetry(system):
+def cyclic_symmetry(system: System) -> Symmetry:
     """The finest rotation about z that maps a system's layout, masses and tethers on themselves.
 
     Parameters
@@ -73,8 +73,7 @@ def cyclic_symmetry(system):
     tree = cKDTree(place)
     tethers = _tethers(system, np.arange(system.n))
     for order in range(system.n, 1, -1):
-        c, s = math.cos(2.0 * math.pi / order), math.sin(2.0 * math.pi / order)
-        distance, successor = tree.query(place @ np.array([[c, s, 0.0], [-s, c, 0.0], [0, 0, 1]]))
+        distance, successor = tree.query(rotated_about_z(place, 2.0 * math.pi / order))
         if (
             np.max(distance) < 1e-9 * size
             and np.unique(successor).size == system.n

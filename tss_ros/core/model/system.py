@@ -4,6 +4,8 @@ SI units throughout. The orbit frame o-xyz sits at the formation's nominal centr
 up, z along the orbit normal, x = y cross z.
 """
 
+from __future__ import annotations
+
 import math
 from collections import Counter
 from dataclasses import dataclass
@@ -65,10 +67,10 @@ class System:
         If a value, a shape or the graph is not physical; the text names it.
     """
 
-    bead_name: tuple
+    bead_name: tuple[str, ...]
     is_satellite: np.ndarray
     mass_kg: np.ndarray
-    tether_name: tuple
+    tether_name: tuple[str, ...]
     tether_ends: np.ndarray
     rest_length_m: np.ndarray
     axial_stiffness_n: np.ndarray
@@ -139,26 +141,26 @@ class System:
                 raise TssError(f"bead {name!r} is not tethered to bead {self.bead_name[0]!r}")
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of beads, satellites included."""
         return len(self.bead_name)
 
     @property
-    def m(self):
+    def m(self) -> int:
         """Number of tether segments."""
         return len(self.tether_name)
 
     @property
-    def orbit_radius_m(self):
+    def orbit_radius_m(self) -> float:
         """R = R_E + H [m]."""
         return RADIUS_EARTH_M + self.orbit_altitude_m
 
     @property
-    def orbit_rate_rad_s(self):
+    def orbit_rate_rad_s(self) -> float:
         """Omega = sqrt(mu / R^3) [rad/s]."""
         return math.sqrt(MU_EARTH / self.orbit_radius_m**3)
 
-    def spin_rate_rad_s(self, spin_rate_ratio):
+    def spin_rate_rad_s(self, spin_rate_ratio: float) -> float:
         """Spin rate omega [rad/s] in the orbit frame for w = omega / Omega; refuses 0 and NaN."""
         ratio = finite("spin_rate_ratio", spin_rate_ratio)
         if not 1e-3 <= abs(ratio) <= 1e4:
@@ -166,7 +168,9 @@ class System:
         return ratio * self.orbit_rate_rad_s
 
 
-def finite(name, value, above=None, at_least=None):
+def finite(
+    name: str, value: object, above: float | None = None, at_least: float | None = None
+) -> float:
     """Return `value` as a finite float within its bounds.
 
     Raises

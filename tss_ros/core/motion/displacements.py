@@ -4,13 +4,18 @@ Every block of columns takes the motion's steps again, with steps of its own siz
 nothing of each other and the result does not depend on how many cores there are.
 """
 
+from __future__ import annotations
+
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 
 import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.state import IntegratorState
 
 #: Most columns of a block: enough that the motion's own work is small beside theirs, few enough
 #: that they stay in the cache.
@@ -19,13 +24,20 @@ BLOCK = 96
 MOST_STEPS = 50_000
 
 
-def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
+def carry_displacements(
+    integrator: Integrator,
+    motion: IntegratorState,
+    displacement: np.ndarray,
+    stop: float,
+    cancelled: Callable[[], bool] | None = None,
+    width: int = BLOCK,
+) -> tuple[IntegratorState, np.ndarray]:
     """Carry a motion and displacements of it to a later time, Eqs. (12)-(16).
 
     Parameters
     ----------
-    flow : Flow
-    motion : steps.Motion
+    integrator : Integrator
+    motion : IntegratorState
         Left as it is.
     displacement : ndarray, shape (6n, k)
         Scaled: velocities over the rim speed, then positions over the radius.
@@ -38,7 +50,7 @@ def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
 
     Returns
     -------
-    motion : steps.Motion
+    motion : IntegratorState
         At `stop`, with no columns.
     displacement : ndarray, shape (6n, k)
 
@@ -49,11 +61,11 @@ def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
     Cancelled
         If `cancelled` said so.
     """
-    blocks = _blocks(displacement, flow.system.n, width)
+    blocks = _blocks(displacement, integrator.system.n, width)
     if len(blocks) == 1:
-        return _carry_block(flow, motion, displacement, stop, cancelled)
+        return _carry_block(integrator, motion, displacement, stop, cancelled)
     futures = [
-        _pool().submit(_carry_block, flow, motion, displacement[:, block], stop, cancelled)
+        _pool().submit(_carry_block, integrator, motion, displacement[:, block], stop, cancelled)
         for block in blocks
     ]
     wait(futures)
@@ -65,7 +77,7 @@ def carry(flow, motion, displacement, stop, cancelled=None, width=BLOCK):
 
 @cache
 def _pool():
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="linear_flow")
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="displacements")
 
 
 def _blocks(displacement, beads, width):
@@ -84,31 +96,34 @@ def _blocks(displacement, beads, width):
     ]
 
 
-def _carry_block(flow, motion, displacement, stop, cancelled):
-    speed, length, count = flow.control.speed, flow.control.length, displacement.shape[1]
-    v, r = np.ascontiguousarray(displacement).reshape(2, flow.system.n, 3, count)
-    motion = type(motion)(*map(np.array, motion))._replace(x_v=v * speed, x_r=r * length)
+def _carry_block(integrator, motion, displacement, stop, cancelled):
+    settings, count = integrator.settings, displacement.shape[1]
+    speed, length = settings.speed, settings.length
+    v, r = np.ascontiguousarray(displacement).reshape(2, integrator.system.n, 3, count)
+    motion = motion.with_variations(v * speed, r * length)
     # Steps between two looks at `cancelled`: large systems take a tenth of a second for one.
-    steps = min(50, max(1, 2000 // flow.system.n))
-    while not flow.advance(motion, stop, steps=steps):
-        look(motion, stop, cancelled)
-        if (growth := np.max(np.abs(motion.x_v), initial=0.0) / speed) > 1.0 / flow.rtol:
+    steps = min(50, max(1, 2000 // integrator.system.n))
+    while not integrator.advance(motion, stop, steps=steps):
+        check_limits(motion, stop, cancelled)
+        if (growth := np.max(np.abs(motion.x_v), initial=0.0) / speed) > 1.0 / integrator.rtol:
             raise IntegrationError(
                 f"the motion is chaotic: variations grew {growth:.0e} times until"
-                f" {motion.time[0]:.6g} s of a turn of {stop:.6g} s, after"
-                f" {motion.count[3]} slack/taut switches"
+                f" {motion.time:.6g} s of a turn of {stop:.6g} s, after"
+                f" {motion.switches} slack/taut switches"
             )
     carried = np.stack([motion.x_v / speed, motion.x_r / length]).reshape(displacement.shape)
-    none = np.empty((flow.system.n, 3, 0))
+    none = np.empty((integrator.system.n, 3, 0))
     return motion._replace(x_v=none, x_r=none), carried
 
 
-def look(motion, stop, cancelled):
+def check_limits(
+    motion: IntegratorState, stop: float, cancelled: Callable[[], bool] | None
+) -> None:
     """Stop a turn that is cancelled, or that takes more steps than any motion worth a matrix."""
     if cancelled is not None and cancelled():
-        raise Cancelled(f"stopped at {motion.time[0]:g} s of {stop:g} s")
-    if motion.count[0] > MOST_STEPS:
+        raise Cancelled(f"stopped at {motion.time:g} s of {stop:g} s")
+    if motion.steps > MOST_STEPS:
         raise IntegrationError(
-            f"more than {MOST_STEPS} steps until {motion.time[0]:.6g} s of {stop:.6g} s,"
-            f" with {motion.count[3]} slack/taut switches"
+            f"more than {MOST_STEPS} steps until {motion.time:.6g} s of {stop:.6g} s,"
+            f" with {motion.switches} slack/taut switches"
         )

@@ -1,26 +1,34 @@
 """The motion of a system from a given state: dense, exact at slack/taut switches, resumable."""
 
+from __future__ import annotations
+
 import copy
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
-from tss_ros.core.model import forces
-from tss_ros.core.model.system import State
-from tss_ros.core.motion import integrate, radau_motion, taylor_motion
+from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.system import State, System
+from tss_ros.core.motion import integrate, taylor_motion
+from tss_ros.core.motion.state import IntegratorState, Samples
+from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
 from tss_ros.core.numerics import block_lu, radau_tables
 
 #: Collocation stages used by default; the order is 13.
 STAGES = 7
-#: Integrators to choose from, as `integration` numbers its kinds of steps: implicit collocation,
-#: explicit series, or whichever is cheaper at the time.
-INTEGRATORS = ("radau", "taylor", "auto")
+#: Integrators to choose from: implicit collocation, explicit series, or whichever is cheaper at the
+#: time.
+INTEGRATORS = {"radau": IMPLICIT, "taylor": EXPLICIT, "auto": BOTH}
+#: First implicit step size to try, in turns.
+FIRST_STEP = 1e-3
 #: Most slack/taut switches in one turn before a motion counts as chattering.
 MOST_SWITCHES_PER_TURN = 20_000
 
 
-class Flow:
+class Integrator:
     """Everything the integrator needs of one system at one spin rate, set up once.
 
     Parameters
@@ -41,8 +49,15 @@ class Flow:
     """
 
     def __init__(
-        self, system, spin_rate_rad_s, rtol, length_m, dense=False, integrator="auto",
-        stages=STAGES,
+        self,
+        system: System,
+        spin_rate_rad_s: float,
+        rtol: float,
+        length_m: float,
+        *,
+        dense: bool = False,
+        integrator: str = "auto",
+        stages: int = STAGES,
     ):
         if not 1e-13 <= rtol <= 1e-3:
             raise TssError(f"rtol must be from 1e-13 to 1e-3, got {rtol:g}")
@@ -51,7 +66,7 @@ class Flow:
                 f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r:.80}"
             )
         self.system, self.rtol = system, rtol
-        self.plant = forces.plant(system, spin_rate_rad_s)
+        self.arrays = kernel_arrays(system, spin_rate_rad_s)
         self.symbolic = block_lu.analyse(system.n, system.tether_ends)
         self.tables = radau_tables.radau(stages)
         rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
@@ -60,21 +75,33 @@ class Flow:
         # translation (Hairer and Wanner, RADAU) from the accuracy wanted to the estimate allowed.
         local = rtol if dense else 0.01 * rtol ** ((stages + 1) / (2 * stages))
         order = taylor_motion.order_for(rtol)
-        self.control = radau_motion.Control(
-            local, max(0.01 * rtol, 1e-15), float(length_m), float(length_m * rate),
-            self.turn_s / 4, INTEGRATORS.index(integrator), order, rtol,
-            math.exp(math.lgamma(order + 1) / order),
+        self.settings = StepSettings(
+            tolerance=local,
+            accuracy=max(0.01 * rtol, 1e-15),
+            length=float(length_m),
+            speed=float(length_m * rate),
+            longest=self.turn_s / 4,
+            kind=INTEGRATORS[integrator],
+            order=order,
+            explicit_tolerance=rtol,
+            bound=math.exp(math.lgamma(order + 1) / order),
         )
 
-    def of(self, system):
-        """The same flow for a system that differs in its parameters, not in its graph."""
+    def of(self, system: System) -> Integrator:
+        """The same for a system that differs in its parameters, not in its graph."""
         other = copy.copy(self)
         other.system = system
-        other.plant = forces.plant(system, self.plant.spin)
+        other.arrays = kernel_arrays(system, self.arrays.spin)
         return other
 
-    def begin(self, state, columns=0):
-        """Start a `steps.Motion` at time 0 from a `State` in the orbit frame."""
+    def begin(self, state: State) -> IntegratorState:
+        """Start an `IntegratorState` at time 0 from a `State` in the orbit frame.
+
+        Raises
+        ------
+        TssError
+            If the state is not finite or not one of this system.
+        """
         r = np.array(state.position_m, dtype=float)
         v = np.array(state.velocity_m_s, dtype=float)
         if r.shape != (self.system.n, 3) or v.shape != r.shape:
@@ -84,27 +111,45 @@ class Flow:
             )
         if not (np.isfinite(r).all() and np.isfinite(v).all()):
             raise TssError("positions and velocities must be finite, got NaN or infinity")
-        v[:, 0] += self.plant.spin * r[:, 1]
-        v[:, 1] -= self.plant.spin * r[:, 0]
-        return integrate.begin(
-            self.plant, self.tables, self.control, v, r, columns, 1e-3 * self.turn_s
-        )
+        v -= rigid_velocity(r, self.arrays.spin)
+        first_step = FIRST_STEP * self.turn_s
+        return integrate.begin(self.arrays, self.tables, self.settings, v, r, first_step)
 
-    def advance(self, motion, stop=math.inf, steps=2**62, times=None, out=None):
-        """Call `integration.advance` and turn its failures into errors.
+    def advance(
+        self,
+        motion: IntegratorState,
+        stop: float = math.inf,
+        steps: int = 2**62,
+        samples: Samples | None = None,
+    ) -> bool:
+        """Advance a motion in place, `integrate.advance`, and turn failures into errors.
+
+        Parameters
+        ----------
+        motion : IntegratorState
+        stop : float
+            [s] where it ends; infinity to end with the step that covers the samples.
+        steps : int
+            Most steps in this call.
+        samples : Samples, optional
+
+        Returns
+        -------
+        bool
+            Whether it has come to its end.
 
         Raises
         ------
         IntegrationError
             If steps become too small or switches too many.
         """
-        if times is None:
-            times, out = np.empty(0), State(*np.empty((2, 0, self.system.n, 3)))
+        if samples is None:
+            samples = self.samples(np.empty(0))
         status = integrate.advance(
-            self.plant, self.symbolic, self.tables, self.control, motion, stop, steps,
-            MOST_SWITCHES_PER_TURN, times, out.velocity_m_s, out.position_m,
+            self.arrays, self.symbolic, self.tables, self.settings, motion,
+            (float(stop), steps, MOST_SWITCHES_PER_TURN), samples,
         )
-        where = f"at {motion.time[0]:.6g} s, after {motion.count[0]} steps"
+        where = f"at {motion.time:.6g} s, after {motion.steps} steps"
         if status == integrate.STEP_TOO_SMALL:
             raise IntegrationError(f"the motion could not be continued {where}: steps too small")
         if status == integrate.TOO_MANY_SWITCHES:
@@ -113,6 +158,19 @@ class Flow:
                 " without progress"
             )
         return status == integrate.REACHED
+
+    @property
+    def period_s(self) -> float:
+        """T = 2 pi / |omega| [s], one turn of the turning frame."""
+        return 2.0 * math.pi / abs(self.arrays.spin)
+
+    def scaled(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """Velocities over the rim speed, then positions over the radius, as one vector (6n,)."""
+        return np.concatenate([v.ravel() / self.settings.speed, r.ravel() / self.settings.length])
+
+    def samples(self, times: np.ndarray) -> Samples:
+        """Room for the states at some times (k,) [s]."""
+        return Samples(times, *np.empty((2, times.size, self.system.n, 3)))
 
 
 class Propagator:
@@ -141,29 +199,38 @@ class Propagator:
     #: Accepted steps between two looks at `cancelled`.
     SLICE = 200
 
-    def __init__(self, system, spin_rate_ratio, state, rtol=1e-10, integrator="auto"):
+    def __init__(
+        self,
+        system: System,
+        spin_rate_ratio: float,
+        state: State,
+        rtol: float = 1e-10,
+        integrator: str = "auto",
+    ):
         spin = system.spin_rate_rad_s(spin_rate_ratio)
         length = np.max(np.linalg.norm(system.layout_m, axis=1))
-        self._flow = Flow(system, spin, rtol, length, dense=True, integrator=integrator)
-        self._motion = self._flow.begin(state)
+        self._integrator = Integrator(system, spin, rtol, length, dense=True, integrator=integrator)
+        self._motion = self._integrator.begin(state)
         self.period_s = 2.0 * math.pi / abs(spin)
 
     @property
-    def time_s(self):
+    def time_s(self) -> float:
         """[s] end of the last integration step; samples up to here cost no further steps."""
-        return float(self._motion.time[0])
+        return self._motion.time
 
     @property
-    def steps(self):
+    def steps(self) -> int:
         """Accepted integration steps so far."""
-        return int(self._motion.count[0])
+        return self._motion.steps
 
     @property
-    def switches(self):
+    def switches(self) -> int:
         """Slack/taut switches so far, Eq. (5)."""
-        return int(self._motion.count[3])
+        return self._motion.switches
 
-    def sample(self, times_s, cancelled=None):
+    def sample(
+        self, times_s: np.ndarray, cancelled: Callable[[], bool] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """States at the given times.
 
         Parameters
@@ -190,15 +257,16 @@ class Propagator:
         times = np.ascontiguousarray(times_s, dtype=float)
         if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
             raise TssError("times_s must be finite and increasing")
-        motion = self._motion
-        if times.size and times[0] < motion.time[2]:
+        motion, progress = self._motion, self._motion.progress
+        begun = progress["step_start"][0]
+        if times.size and times[0] < begun:
             raise TssError(
-                f"times_s must not lie before {motion.time[2]:g} s, where the last step began,"
+                f"times_s must not lie before {begun:g} s, where the last step began,"
                 f" got {times[0]:g}"
             )
-        out = State(*np.empty((2, times.size, self._flow.system.n, 3)))
-        motion.count[4] = 0
-        while not self._flow.advance(motion, steps=self.SLICE, times=times, out=out):
+        samples = self._integrator.samples(times)
+        progress["sampled"] = 0
+        while not self._integrator.advance(motion, steps=self.SLICE, samples=samples):
             if cancelled is not None and cancelled():
                 raise Cancelled(f"stopped at {self.time_s:g} s")
-        return out.position_m, out.velocity_m_s
+        return samples.r, samples.v

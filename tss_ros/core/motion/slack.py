@@ -10,111 +10,30 @@ import numpy as np
 from numba import njit
 
 from tss_ros.core.model.forces import stretch
-from tss_ros.core.motion.radau_motion import add
+from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
+from tss_ros.core.numerics.loops import add
 from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, smaller, splat, store
-
-#: Most bisections in the search for a zero.
-DEEPEST = 34
-
-
-@kernel
-def first_zero(coefficient, pieces):
-    """First point of [0, 1] where a polynomial in Bernstein form becomes negative, or 2.
-
-    The polynomial is taken to start at or above zero. The convex hull of the coefficients bounds
-    it, so a piece is passed over only when it provably has no zero; where they change sign once,
-    there is one (Descartes), and Newton's method finds it.
-
-    Parameters
-    ----------
-    coefficient : ndarray, shape (degree + 1,)
-    pieces : ndarray, shape (DEEPEST + 2, degree + 3)
-        Room: coefficients, beginning and width of each piece.
-
-    Returns
-    -------
-    float
-    """
-    count = coefficient.size
-    low, width = count, count + 1
-    for i in range(count):
-        pieces[0, i] = coefficient[i]
-    pieces[0, 0] = max(coefficient[0], 0.0)
-    pieces[0, low], pieces[0, width] = 0.0, 1.0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        changes, positive = 0, pieces[depth, 0] >= 0.0
-        for i in range(1, count):
-            if (pieces[depth, i] >= 0.0) != positive:
-                positive = not positive
-                changes += 1
-        if changes == 0 and positive:
-            continue
-        if changes == 1 and not positive:
-            return pieces[depth, low] + pieces[depth, width] * _only_zero(pieces, depth)
-        if depth == DEEPEST:
-            return pieces[depth, low] + pieces[depth, width]
-        # De Casteljau's division: the left half goes on top, the right half stays.
-        half = 0.5 * pieces[depth, width]
-        for i in range(count):
-            pieces[depth + 1, i] = pieces[depth, i]
-        left = depth + 1
-        for level in range(1, count):
-            for i in range(count - 1, level - 1, -1):
-                pieces[left, i] = 0.5 * (pieces[left, i] + pieces[left, i - 1])
-            pieces[depth, count - 1 - level] = pieces[left, count - 1]
-        pieces[left, low], pieces[left, width] = pieces[depth, low], half
-        pieces[depth, low] += half
-        pieces[depth, width] = half
-        depth += 2
-    return 2.0
-
-
-@kernel
-def _only_zero(pieces, which):
-    """The zero in [0, 1] of a polynomial whose Bernstein coefficients become negative once."""
-    low, high, degree, room = 0.0, 1.0, pieces.shape[1] - 3, DEEPEST + 1
-    x = pieces[which, 0] / (pieces[which, 0] - pieces[which, degree])
-    for _ in range(60):
-        for i in range(degree + 1):
-            pieces[room, i] = pieces[which, i]
-        for level in range(degree - 1):
-            for i in range(degree - level):
-                pieces[room, i] += x * (pieces[room, i + 1] - pieces[room, i])
-        slope = pieces[room, 1] - pieces[room, 0]
-        value = pieces[room, 0] + x * slope
-        if value >= 0.0:
-            low = x
-        else:
-            high = x
-        before, x = x, x - value / (degree * slope) if slope < 0.0 else 0.5 * (low + high)
-        if not low <= x <= high:
-            x = 0.5 * (low + high)
-        if abs(x - before) <= 1e-10:
-            break
-    return x
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def first_switch(plant, tables, taut, v0, r0, rise):
+def first_switch(arrays, tables, step):
     """Earliest point of a step, as a fraction of it, where a tether leaves its mode; 2 if none.
 
     Returns the fraction and the tether.
     """
-    s, m = tables.stages, plant.rest.size
+    s, m = tables.stages, arrays.rest.size
     sample = np.empty((s + 1, m))
     growth = np.empty(m)
-    r = r0.copy()
-    stretch(plant, v0, r, sample[0], growth)
+    r = step.r.copy()
+    stretch(arrays, step.v, r, sample[0], growth)
     for j in range(s):
-        r[:] = r0
-        add(r.reshape(-1), 1.0, rise[j].reshape(-1))
-        stretch(plant, v0, r, sample[j + 1], growth)
+        r[:] = step.r
+        add(r, 1.0, step.dr[j])
+        stretch(arrays, step.v, r, sample[j + 1], growth)
     earliest, which = 2.0, -1
     coefficient, pieces = np.empty(s + 1), np.empty((DEEPEST + 2, s + 3))
     for k in range(m):
-        sign = 1.0 if taut[k] else -1.0
+        sign = 1.0 if step.taut[k] else -1.0
         lowest = np.inf
         for i in range(s + 1):
             total = 0.0
@@ -130,7 +49,7 @@ def first_switch(plant, tables, taut, v0, r0, rise):
 
 
 @kernel
-def first_switch_of_series(plant, taut, series, h):
+def first_switch_of_series(arrays, taut, series, h):
     """Earliest time [s] within a step h of Taylor series where a tether leaves its mode.
 
     Returns the time, exact to rounding, or infinity if there is none; and the tether.
@@ -143,10 +62,10 @@ def first_switch_of_series(plant, taut, series, h):
             power *= h
         store(margin, 0, change)
         open_lanes = 0
-        for lane in range(min(WIDTH, plant.rest.size - WIDTH * block)):
+        for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
             k = WIDTH * block + lane
             sign, length = 1.0 if taut[k] else -1.0, math.sqrt(series.q[block, 0, lane])
-            start = sign * (length - plant.rest[k]) * (length + plant.rest[k])
+            start = sign * (length - arrays.rest[k]) * (length + arrays.rest[k])
             if start > margin[0, lane]:
                 margin[0, lane] = 0.0
                 continue
@@ -161,13 +80,13 @@ def first_switch_of_series(plant, taut, series, h):
         while open_lanes > 0:
             lowest = _to_bernstein(series, block)
             store(margin, 4 * WIDTH, lowest)
-            for lane in range(min(WIDTH, plant.rest.size - WIDTH * block)):
+            for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
                 sign, part = margin[0, lane], margin[2, lane]
                 if sign == 0.0:
                     continue
                 k, zero = WIDTH * block + lane, np.inf
                 if margin[4, lane] < 0.0:
-                    zero = _zero_of_series(plant, series, k, h)
+                    zero = _zero_of_series(arrays, series, k, h)
                 if zero < earliest:
                     earliest, which = zero, k
                 if zero < np.inf or part >= h:
@@ -199,7 +118,7 @@ def _to_bernstein(series, block):
 
 
 @kernel
-def _zero_of_series(plant, series, k, h):
+def _zero_of_series(arrays, series, k, h):
     """The first zero [s] of a tether's margin as `_to_bernstein` left it, infinity if none."""
     lane, margin = k % WIDTH, series.margin
     size, low, high, changes, positive = series.q.shape[1], 0.0, margin[2, lane], 0, True
@@ -215,7 +134,7 @@ def _zero_of_series(plant, series, k, h):
         time, reach = zero * high, 1e-6 * high
         low, high = max(0.0, time - reach), min(high, time + reach)
     # The very vectors that tell where the beads are, not the squares: these are cut off elsewhere.
-    sign, square = margin[0, lane], plant.rest[k] * plant.rest[k]
+    sign, square = margin[0, lane], arrays.rest[k] * arrays.rest[k]
     for _ in range(60):
         x = y = z = vx = vy = vz = 0.0
         for i in range(size - 1, 0, -1):
@@ -243,7 +162,7 @@ def _zero_of_series(plant, series, k, h):
 
 
 @kernel
-def toggle(plant, motion, which, length_tolerance, excess, growth):
+def toggle(arrays, motion, which, length_tolerance, excess, growth):
     """Switch tether `which`, and any other on its edge and leaving its mode, at this instant.
 
     `excess` and `growth` (m,) are overwritten.
@@ -251,8 +170,8 @@ def toggle(plant, motion, which, length_tolerance, excess, growth):
     Variations are multiplied by the saltation matrix, which for Eqs. (5)-(6) only adds the damping
     of the relative displacement along the tether to the velocities (S = I for C = 0).
     """
-    stretch(plant, motion.v, motion.r, excess, growth)
-    for k in range(plant.rest.size):
+    stretch(arrays, motion.v, motion.r, excess, growth)
+    for k in range(arrays.rest.size):
         leaving = (growth[k] < 0.0) == motion.taut[k]
         if k != which and not (abs(excess[k]) <= length_tolerance and leaving):
             continue
@@ -260,8 +179,8 @@ def toggle(plant, motion, which, length_tolerance, excess, growth):
             continue
         sign = -1.0 if motion.taut[k] else 1.0
         motion.taut[k] = not motion.taut[k]
-        motion.count[3] += 1
-        i, j = plant.ends[k, 0], plant.ends[k, 1]
+        motion.progress[0].switches += 1
+        i, j = arrays.ends[k, 0], arrays.ends[k, 1]
         if motion.x_v.shape[2] == 0:
             continue
         length2 = 0.0
@@ -272,8 +191,8 @@ def toggle(plant, motion, which, length_tolerance, excess, growth):
             for p in range(3):
                 e = motion.r[i, p] - motion.r[j, p]
                 jump += e * (motion.x_r[i, p, c] - motion.x_r[j, p, c])
-            jump *= sign * plant.damping[k] / length2
+            jump *= sign * arrays.damping[k] / length2
             for p in range(3):
                 e = motion.r[i, p] - motion.r[j, p]
-                motion.x_v[i, p, c] -= jump * e * plant.inv_mass[i]
-                motion.x_v[j, p, c] += jump * e * plant.inv_mass[j]
+                motion.x_v[i, p, c] -= jump * e * arrays.inv_mass[i]
+                motion.x_v[j, p, c] += jump * e * arrays.inv_mass[j]

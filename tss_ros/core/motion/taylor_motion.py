@@ -6,12 +6,12 @@ of high-order Taylor methods", Exp. Math. 14 (2005) 99-117) and describe the who
 """
 
 import math
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from tss_ros.core.motion.slack import DEEPEST
+from tss_ros.core.numerics.bernstein import DEEPEST
 from tss_ros.core.numerics.simd import (
     WIDTH,
     kernel,
@@ -25,18 +25,67 @@ from tss_ros.core.numerics.simd import (
     store3,
 )
 
-#: Taylor coefficients by powers of time since the start of the step, up to N, the order. Beads and
-#: tethers lie in blocks of W = `WIDTH` lanes, the last of which may be idle. r (n/W,N+1,3,W):
-#: positions. e (m/W,N+1,3,W), q (m/W,N+1,W): vectors along tethers and their squared lengths; where
-#: taut also d: the rate of log q, g: q to the power -1/2, p: tension over length. u, f (n/W,N+1,W):
-#: gravity's distance variable and factor as in `forces.acceleration`. tether (m/W,7,W): 1 where
-#: taut, stiffness, half the damping, rest length, and room for three components. margin (5,W),
-#: bernstein (N+1,W), pieces: room for `switching`. ends, pulls: which bead lies at which end of a
-#: block's tethers, and which tether pulls at a block's beads.
-Series = namedtuple("Series", "r e q d g p u f tether margin bernstein pieces ends pulls")
-#: For every block of lanes what acts on it: entries start[block] to stop[block] name a bead or a
-#: tether (index) and what each lane takes of it (weight).
-Links = namedtuple("Links", "start stop index weight")
+
+class Links(NamedTuple):
+    """For every block of lanes what acts on it.
+
+    Attributes
+    ----------
+    start, stop : ndarray, shape (blocks,) and (blocks + 1,), int
+        Range of entries of each block.
+    index : ndarray, shape (entries,), int
+        The bead or tether that acts.
+    weight : ndarray, shape (entries, W)
+        What each lane takes of it.
+    """
+
+    start: np.ndarray
+    stop: np.ndarray
+    index: np.ndarray
+    weight: np.ndarray
+
+
+class Series(NamedTuple):
+    """Taylor coefficients by powers of time since the start of a step, up to the order N.
+
+    Beads and tethers lie in blocks of W = `WIDTH` lanes, the last of which may be idle.
+
+    Attributes
+    ----------
+    r : ndarray, shape (n/W, N+1, 3, W)
+        Positions.
+    e, q : ndarray, shape (m/W, N+1, 3, W) and (m/W, N+1, W)
+        Vectors along tethers and their squared lengths.
+    d, g, p : ndarray, shape (m/W, N+1, W)
+        Where taut: the rate of log q, q to the power -1/2, and tension over length, Eqs. (3), (6).
+    u, f : ndarray, shape (n/W, N+1, W)
+        Gravity's distance variable and factor as in `forces.acceleration`, Eq. (2).
+    tether : ndarray, shape (m/W, 7, W)
+        1 where taut, stiffness, half the damping, rest length, and room for three components.
+    margin, bernstein, pieces : ndarray, shape (5, W), (N+1, W) and (DEEPEST + 2, N+3)
+        Room for `slack`.
+    ends : Links
+        Which bead lies at which end of a block's tethers.
+    pulls : Links
+        Which tether pulls at a block's beads.
+    """
+
+    r: np.ndarray
+    e: np.ndarray
+    q: np.ndarray
+    d: np.ndarray
+    g: np.ndarray
+    p: np.ndarray
+    u: np.ndarray
+    f: np.ndarray
+    tether: np.ndarray
+    margin: np.ndarray
+    bernstein: np.ndarray
+    pieces: np.ndarray
+    ends: Links
+    pulls: Links
+
+
 #: Rows of `Series.tether`, times WIDTH.
 TAUT, STIFFNESS, DAMPING, REST, PULL = 0, WIDTH, 2 * WIDTH, 3 * WIDTH, 4 * WIDTH
 ROWS = 7
@@ -48,24 +97,24 @@ def order_for(rtol):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blank(plant, order):
+def blank(arrays, order):
     """Room for a `Series`, with idle lanes at rest."""
-    beads, tethers, size = plant.inv_mass.size, plant.rest.size, order + 1
+    beads, tethers, size = arrays.inv_mass.size, arrays.rest.size, order + 1
     n, m = -(-beads // WIDTH), -(-tethers // WIDTH)
     ends, pulls = _no_links(m, tethers), _no_links(n, tethers)
     for a in range(tethers):
         ends.stop[a // WIDTH + 1] += 2
         for side in range(2):
-            pulls.stop[plant.ends[a, side] // WIDTH + 1] += 1
+            pulls.stop[arrays.ends[a, side] // WIDTH + 1] += 1
     for links in (ends, pulls):
         for block in range(links.start.size):
             links.stop[block + 1] += links.stop[block]
             links.start[block] = links.stop[block]
     for a in range(tethers):
         for side in range(2):
-            i, sign = plant.ends[a, side], 1.0 - 2.0 * side
+            i, sign = arrays.ends[a, side], 1.0 - 2.0 * side
             _link(ends, a, i, sign)
-            _link(pulls, i, a, -sign * plant.inv_mass[i])
+            _link(pulls, i, a, -sign * arrays.inv_mass[i])
     return Series(
         np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)), np.ones((m, size, WIDTH)),
         np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)),
@@ -95,16 +144,16 @@ def _link(links, to, index, weight):
 
 
 @kernel
-def expand(plant, taut, v, r, series):
+def expand(arrays, taut, v, r, series):
     """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame."""
-    order, beads, tethers = series.r.shape[1] - 1, r.shape[0], plant.rest.size
+    order, beads, tethers = series.r.shape[1] - 1, r.shape[0], arrays.rest.size
     for i in range(beads):
         for c in range(3):
             series.r[i // WIDTH, 0, c, i % WIDTH] = r[i, c]
             series.r[i // WIDTH, 1, c, i % WIDTH] = v[i, c]
     any_taut = False
     for a in range(tethers):
-        i, j = plant.ends[a, 0], plant.ends[a, 1]
+        i, j = arrays.ends[a, 0], arrays.ends[a, 1]
         block, at, square = a // WIDTH, a % WIDTH, 0.0
         for c in range(3):
             x = r[i, c] - r[j, c]
@@ -112,14 +161,14 @@ def expand(plant, taut, v, r, series):
             square += x * x
         series.q[block, 0, at] = square
         series.tether[block, 0, at] = 1.0 if taut[a] else 0.0
-        series.tether[block, 1, at] = plant.stiffness[a]
-        series.tether[block, 2, at] = 0.5 * plant.damping[a]
-        series.tether[block, 3, at] = plant.rest[a]
+        series.tether[block, 1, at] = arrays.stiffness[a]
+        series.tether[block, 2, at] = 0.5 * arrays.damping[a]
+        series.tether[block, 3, at] = arrays.rest[a]
         any_taut |= taut[a]
     for k in range(order - 1):
         weight = 1.0 / ((k + 1) * (k + 2))
         for block in range(series.r.shape[0]):
-            _gravity(plant, series, block, k, weight)
+            _gravity(arrays, series, block, k, weight)
         for block in range(series.e.shape[0]):
             _difference(series, block, k + 1)
             if any_taut:
@@ -135,18 +184,18 @@ def expand(plant, taut, v, r, series):
 
 
 @njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _gravity(plant, series, block, k, weight):
+def _gravity(arrays, series, block, k, weight):
     """Write what gravity, centrifugal and Coriolis acceleration do to coefficient k + 2 of r."""
     r, u, f = series.r, series.u, series.f
-    rate2, coriolis = weight * plant.rate * plant.rate, weight * 2.0 * plant.rate * (k + 1)
-    curvature = 1.0 / plant.radius
+    rate2, coriolis = weight * arrays.rate * arrays.rate, weight * 2.0 * arrays.rate * (k + 1)
+    curvature = 1.0 / arrays.radius
     one = block * u.shape[1] * WIDTH  # where the block begins in u and f, and so
     three = 3 * one  # in r
     now = three + 3 * WIDTH * k
     x0, y0, z0 = load3(r, three)
     xk, yk, zk = load3(r, now)
     gx = gy = gz = splat(0.0)
-    if plant.linear_gravity:
+    if arrays.linear_gravity:
         gy = 3.0 * yk
     elif k == 0:
         u0 = (2.0 * y0 + (x0 * x0 + y0 * y0 + z0 * z0) * curvature) * curvature
@@ -154,7 +203,7 @@ def _gravity(plant, series, block, k, weight):
         f0 = u0 * (3.0 + u0 * (3.0 + u0)) / (p * (1.0 + p))
         store(u, one, u0)
         store(f, one, f0)
-        gx, gy, gz = f0 * x0, f0 * (y0 + plant.radius), f0 * z0
+        gx, gy, gz = f0 * x0, f0 * (y0 + arrays.radius), f0 * z0
     else:
         square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
         total, share, inverse = splat(0.0), float(k), 1.0 / (1.0 + load(u, one))
@@ -174,7 +223,7 @@ def _gravity(plant, series, block, k, weight):
         store(u, one + WIDTH * k, uk)
         store(f, one + WIDTH * k, fk)
         gx += f0 * xk + fk * x0
-        gy += f0 * yk + fk * (y0 + plant.radius)
+        gy += f0 * yk + fk * (y0 + arrays.radius)
         gz += f0 * zk + fk * z0
     vx, vy, _ = load3(r, now + 3 * WIDTH)
     ax, ay, az = rate2 * gx + coriolis * vy, rate2 * gy - coriolis * vx, rate2 * (gz - zk)

@@ -1,6 +1,6 @@
 """The variations of an explicit step, Eqs. (12) and (52), as Taylor series beside `taylor`."""
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,12 +8,30 @@ from numba import njit
 from tss_ros.core.motion.taylor_motion import longest
 from tss_ros.core.numerics.simd import WIDTH, kernel, lane, load, load3, splat, store, store3
 
-#: Taylor coefficients of k variations, which lie in blocks of W = `WIDTH` lanes. x (k/W,N+1,n,3,W):
-#: of position. gradient (n,N+1,3,3) and terms (n,): the gravity gradient at each bead and how many
-#: of its coefficients matter. For one block at a time along every tether, e (m,N+1,3,W): difference
-#: of the variations, eta, pull (m,N+1,W): variation of the logarithm of the squared length and of
-#: tension over length. room (4,N+1).
-Varied = namedtuple("Varied", "x gradient terms e eta pull room")
+
+class Varied(NamedTuple):
+    """Taylor coefficients of k variations, in blocks of W = `WIDTH` lanes.
+
+    Attributes
+    ----------
+    x : ndarray, shape (k/W, N+1, n, 3, W)
+        Variations of position.
+    gradient, terms : ndarray, shape (n, N+1, 3, 3) and (n,)
+        The gravity gradient at each bead, and how many of its coefficients matter.
+    e : ndarray, shape (m, N+1, 3, W)
+        For one block at a time, difference of the variations along every tether.
+    eta, pull : ndarray, shape (m, N+1, W)
+        Likewise, variation of the logarithm of the squared length and of tension over length.
+    room : ndarray, shape (4, N+1)
+    """
+
+    x: np.ndarray
+    gradient: np.ndarray
+    terms: np.ndarray
+    e: np.ndarray
+    eta: np.ndarray
+    pull: np.ndarray
+    room: np.ndarray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -32,12 +50,12 @@ def blank(beads, tethers, order, columns):
 
 
 @kernel
-def expand_variations(plant, taut, series, step, x_v, x_r, varied):
+def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
     """Fill `varied` with the variations that start at x_v, x_r along the motion of `series`.
 
     Parameters
     ----------
-    plant, taut : Plant, ndarray
+    arrays, taut : KernelArrays, ndarray
     series : Series
         As `expand` leaves it.
     step : float
@@ -49,31 +67,31 @@ def expand_variations(plant, taut, series, step, x_v, x_r, varied):
     x, gradient, terms, room = varied.x, varied.gradient, varied.terms, varied.room
     size, beads = x.shape[1], x.shape[2]
     for i in range(beads):
-        terms[i] = _gravity_gradient(plant, series, i, step, gradient[i], room)
+        terms[i] = _gravity_gradient(arrays, series, i, step, gradient[i], room)
         for c in range(3):
             for b in range(x_r.shape[2]):
                 x[b // WIDTH, 0, i, c, b % WIDTH] = x_r[i, c, b]
                 x[b // WIDTH, 1, i, c, b % WIDTH] = x_v[i, c, b]
     for block in range(x.shape[0]):
         first = 3 * WIDTH * beads * size * block
-        for a in range(plant.rest.size):
+        for a in range(arrays.rest.size):
             if taut[a]:
-                _begin_tether(plant, series, varied, first, a)
+                _begin_tether(arrays, series, varied, first, a)
         for k in range(size - 2):
             for i in range(beads):
-                _gravity(plant, varied, first, i, k)
-            for a in range(plant.rest.size):
+                _gravity(arrays, varied, first, i, k)
+            for a in range(arrays.rest.size):
                 if taut[a]:
-                    _tension(plant, series, varied, first, a, k)
+                    _tension(arrays, series, varied, first, a, k)
 
 
 @kernel
-def _gravity(plant, varied, first, bead, k):
+def _gravity(arrays, varied, first, bead, k):
     """Write what gravity and Coriolis acceleration do to coefficient k + 2 of one bead."""
     x, gradient = varied.x, varied.gradient
     row = 3 * WIDTH * x.shape[2]  # from one coefficient to the next
     now = first + row * k + 3 * WIDTH * bead
-    coriolis, weight = 2.0 * plant.rate * (k + 1), 1.0 / ((k + 1) * (k + 2))
+    coriolis, weight = 2.0 * arrays.rate * (k + 1), 1.0 / ((k + 1) * (k + 2))
     vx, vy, _ = load3(x, now + row)
     ax, ay, az = coriolis * vy, -coriolis * vx, splat(0.0)
     for term in range(min(k + 1, varied.terms[bead])):
@@ -87,9 +105,9 @@ def _gravity(plant, varied, first, bead, k):
 
 
 @kernel
-def _begin_tether(plant, series, varied, first, a):
+def _begin_tether(arrays, series, varied, first, a):
     """Coefficients 0 of one tether's differences and logarithmic variation."""
-    i, j = plant.ends[a, 0], plant.ends[a, 1]
+    i, j = arrays.ends[a, 0], arrays.ends[a, 1]
     size, block, at = varied.x.shape[1], a // WIDTH, a % WIDTH
     xi, yi, zi = load3(varied.x, first + 3 * WIDTH * i)
     xj, yj, zj = load3(varied.x, first + 3 * WIDTH * j)
@@ -104,10 +122,10 @@ def _begin_tether(plant, series, varied, first, a):
 
 
 @kernel
-def _tension(plant, series, varied, first, a, k):
+def _tension(arrays, series, varied, first, a, k):
     """Add what one tether does to coefficient k + 2 of the beads at its ends."""
     x, e, eta, pull = varied.x, varied.e, varied.eta, varied.pull
-    i, j = plant.ends[a, 0], plant.ends[a, 1]
+    i, j = arrays.ends[a, 0], arrays.ends[a, 1]
     block, at, row = a // WIDTH, a % WIDTH, 3 * WIDTH * x.shape[2]
     one, two = first + row * (k + 1) + 3 * WIDTH * i, first + row * (k + 1) + 3 * WIDTH * j
     now = WIDTH * (x.shape[1] * a + k)
@@ -139,12 +157,12 @@ def _tension(plant, series, varied, first, a, k):
         elastic += series.g[block, term, at] * share
     share = (1.0 / series.q[block, 0, at]) * (2.0 * along - ratio)
     store(eta, now + WIDTH, share)
-    strength = (0.5 * plant.damping[a] * (k + 1)) * share
-    strength += (0.5 * plant.stiffness[a] * plant.rest[a]) * elastic
+    strength = (0.5 * arrays.damping[a] * (k + 1)) * share
+    strength += (0.5 * arrays.stiffness[a] * arrays.rest[a]) * elastic
     store(pull, now, strength)
     fx, fy, fz = fx + s0x * strength, fy + s0y * strength, fz + s0z * strength
     weight = 1.0 / ((k + 1) * (k + 2))
-    mi, mj = weight * plant.inv_mass[i], weight * plant.inv_mass[j]
+    mi, mj = weight * arrays.inv_mass[i], weight * arrays.inv_mass[j]
     xi, yi, zi = load3(x, one + row)
     store3(x, one + row, xi - mi * fx, yi - mi * fy, zi - mi * fz)
     xj, yj, zj = load3(x, two + row)
@@ -152,13 +170,13 @@ def _tension(plant, series, varied, first, a, k):
 
 
 @kernel
-def _gravity_gradient(plant, series, bead, step, out, room):
+def _gravity_gradient(arrays, series, bead, step, out, room):
     """Coefficients of the gravity gradient at one bead, (terms, 3, 3), and how many there are."""
     block, lane = bead // WIDTH, bead % WIDTH
     r, u, f = series.r[block, :, :, lane], series.u[block, :, lane], series.f[block, :, lane]
-    rate2 = plant.rate * plant.rate
+    rate2 = arrays.rate * arrays.rate
     out[0] = 0.0
-    if plant.linear_gravity:
+    if arrays.linear_gravity:
         out[0, 1, 1], out[0, 2, 2] = 3.0 * rate2, -rate2
         return 1
     order = r.shape[0] - 1
@@ -176,12 +194,12 @@ def _gravity_gradient(plant, series, bead, step, out, room):
         for p in range(3):
             along[p, k] = w[k] if p == 1 else 0.0
             for b in range(k + 1):
-                along[p, k] += w[b] * r[k - b, p] / plant.radius
+                along[p, k] += w[b] * r[k - b, p] / arrays.radius
         for p in range(3):
             for c in range(p, 3):
                 total = along[p, k] if c == 1 else 0.0
                 for b in range(k + 1):
-                    total += along[p, b] * r[k - b, c] / plant.radius
+                    total += along[p, b] * r[k - b, c] / arrays.radius
                 if p == c:
                     total += rate2 * f[k]
                     if p == 2 and k == 0:

@@ -7,25 +7,50 @@ work and memory grow linearly with the number of beads.
 """
 
 import heapq
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from tss_ros.core.numerics.simd import kernel
-
-#: order (n,): bead eliminated at each stage. start (n+1,): range of that bead's later neighbours
-#: in `neighbour`, `lower` and `upper` (their bead and the blocks left below and right of the
-#: pivot). target: for every pair of them the block their product is subtracted from, from
-#: target_start (n,). pair (m,2): blocks (i,j) and (j,i) of each tether. row, column (entries,): the
-#: place of every block of the matrix itself, the n diagonal ones first. blocks: their number
-#: together with those that only elimination fills.
-Symbolic = namedtuple(
-    "Symbolic", "order start neighbour lower upper target target_start pair row column blocks"
-)
+from tss_ros.core.numerics.loops import add
+from tss_ros.core.numerics.simd import inlined, kernel
 
 
-def analyse(beads, ends):
+class Symbolic(NamedTuple):
+    """Elimination order and fill of a matrix of blocks.
+
+    Attributes
+    ----------
+    order : ndarray, shape (n,), int
+        Bead eliminated at each stage.
+    start : ndarray, shape (n + 1,), int
+        Range of that bead's later neighbours in `neighbour`, `lower` and `upper`.
+    neighbour, lower, upper : ndarray, shape (pairs,), int
+        Their bead, and the blocks left below and right of the pivot.
+    target, target_start : ndarray, int
+        For every pair of them the block their product is subtracted from, from `target_start` (n,).
+    pair : ndarray, shape (m, 2), int
+        Blocks (i, j) and (j, i) of each tether.
+    row, column : ndarray, shape (entries,), int
+        The place of every block of the matrix itself, the n diagonal ones first.
+    blocks : int
+        Their number together with those that only elimination fills.
+    """
+
+    order: np.ndarray
+    start: np.ndarray
+    neighbour: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    target: np.ndarray
+    target_start: np.ndarray
+    pair: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    blocks: int
+
+
+def analyse(beads: int, ends: np.ndarray) -> Symbolic:
     """Find elimination order and fill for a tether graph.
 
     Parameters
@@ -73,24 +98,23 @@ def analyse(beads, ends):
         np.array(values, dtype=np.int64)
         for values in (order, start, neighbour, lower, upper, target, target_start)
     ]
-    return Symbolic(*as_array, np.array(pair, dtype=np.int64), row, column, len(index))
+    return Symbolic(
+        *as_array, pair=np.array(pair, dtype=np.int64), row=row, column=column, blocks=len(index)
+    )
 
 
-@kernel
-def _invert3(a):
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
-    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
-    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
-    d = 1.0 / (a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02)
-    c10 = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]
-    c11 = a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
-    c12 = a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
-    c20 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    c21 = a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]
-    c22 = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
-    a[0, 0], a[0, 1], a[0, 2] = c00 * d, c10 * d, c20 * d
-    a[1, 0], a[1, 1], a[1, 2] = c01 * d, c11 * d, c21 * d
-    a[2, 0], a[2, 1], a[2, 2] = c02 * d, c12 * d, c22 * d
+@inlined
+def _substitute(symbolic, factored, b, room, subtract_product, apply):
+    """Forward and backward substitution in place, for right-hand sides of any kind."""
+    for k in range(symbolic.order.size):
+        y = b[symbolic.order[k]]
+        for p in range(symbolic.start[k], symbolic.start[k + 1]):
+            subtract_product(b[symbolic.neighbour[p]], factored[symbolic.lower[p]], y, room)
+    for k in range(symbolic.order.size - 1, -1, -1):
+        y = b[symbolic.order[k]]
+        for p in range(symbolic.start[k], symbolic.start[k + 1]):
+            subtract_product(y, factored[symbolic.upper[p]], b[symbolic.neighbour[p]], room)
+        apply(factored[symbolic.order[k]], y, room)
 
 
 @kernel
@@ -135,6 +159,8 @@ def solve(symbolic, factored, b):
     b : ndarray, shape (n, 3)
         Right-hand side on entry, solution on return.
     """
+    # The loops of `_substitute` once more: Newton's iteration spends its time here, and a sum that
+    # stays in registers is quicker.
     beads = symbolic.order.size
     for k in range(beads):
         y = b[symbolic.order[k]]
@@ -169,30 +195,7 @@ def solve_columns(symbolic, factored, b):
     b : ndarray, shape (n, 3, columns)
         Right-hand sides on entry, solutions on return.
     """
-    beads, columns = symbolic.order.size, b.shape[2]
-    for k in range(beads):
-        y = b[symbolic.order[k]]
-        for p in range(symbolic.start[k], symbolic.start[k + 1]):
-            low = factored[symbolic.lower[p]]
-            out = b[symbolic.neighbour[p]]
-            for row in range(3):
-                a0, a1, a2 = low[row, 0], low[row, 1], low[row, 2]
-                for c in range(columns):
-                    out[row, c] -= a0 * y[0, c] + a1 * y[1, c] + a2 * y[2, c]
-    for k in range(beads - 1, -1, -1):
-        y = b[symbolic.order[k]]
-        for p in range(symbolic.start[k], symbolic.start[k + 1]):
-            up = factored[symbolic.upper[p]]
-            x = b[symbolic.neighbour[p]]
-            for row in range(3):
-                a0, a1, a2 = up[row, 0], up[row, 1], up[row, 2]
-                for c in range(columns):
-                    y[row, c] -= a0 * x[0, c] + a1 * x[1, c] + a2 * x[2, c]
-        inverse = factored[symbolic.order[k]]
-        for c in range(columns):
-            y0, y1, y2 = y[0, c], y[1, c], y[2, c]
-            for row in range(3):
-                y[row, c] = inverse[row, 0] * y0 + inverse[row, 1] * y1 + inverse[row, 2] * y2
+    _substitute(symbolic, factored, b, 0, _subtract_product3, _apply_to_columns3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -204,19 +207,19 @@ def factor_wide(symbolic, matrix):
     symbolic : Symbolic
     matrix : ndarray, shape (blocks, w, w)
     """
-    product = np.empty(matrix.shape[1:])
+    room = np.empty(matrix.shape[1:])
     for k in range(symbolic.order.size):
         inverse = matrix[symbolic.order[k]]
         inverse[:] = np.linalg.inv(inverse)
         first, last = symbolic.start[k], symbolic.start[k + 1]
         for p in range(first, last):
             low = matrix[symbolic.lower[p]]
-            np.dot(low, inverse, product)
-            low[:] = product
+            np.dot(low, inverse, room)
+            low[:] = room
             goal = symbolic.target_start[k] + (p - first) * (last - first)
             for q in range(first, last):
-                np.dot(low, matrix[symbolic.upper[q]], product)
-                _subtract(matrix[symbolic.target[goal + q - first]], product)
+                out = matrix[symbolic.target[goal + q - first]]
+                _subtract_product(out, low, matrix[symbolic.upper[q]], room)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -230,24 +233,51 @@ def solve_wide(symbolic, factored, b):
     b : ndarray, shape (n, w, columns)
         Right-hand sides on entry, solutions on return.
     """
-    beads = symbolic.order.size
-    product = np.empty(b.shape[1:])
-    for k in range(beads):
-        for p in range(symbolic.start[k], symbolic.start[k + 1]):
-            np.dot(factored[symbolic.lower[p]], b[symbolic.order[k]], product)
-            _subtract(b[symbolic.neighbour[p]], product)
-    for k in range(beads - 1, -1, -1):
-        y = b[symbolic.order[k]]
-        for p in range(symbolic.start[k], symbolic.start[k + 1]):
-            np.dot(factored[symbolic.upper[p]], b[symbolic.neighbour[p]], product)
-            _subtract(y, product)
-        np.dot(factored[symbolic.order[k]], y, product)
-        y[:] = product
+    room = np.empty(b.shape[1:])
+    _substitute(symbolic, factored, b, room, _subtract_product, _apply)
 
 
 @kernel
-def _subtract(y, x):
-    """y -= x; plain loops compile several times faster than array differences."""
-    for i in range(y.shape[0]):
-        for c in range(y.shape[1]):
-            y[i, c] -= x[i, c]
+def _invert3(a):
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    d = 1.0 / (a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02)
+    c10 = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]
+    c11 = a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
+    c12 = a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
+    c20 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    c21 = a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]
+    c22 = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    a[0, 0], a[0, 1], a[0, 2] = c00 * d, c10 * d, c20 * d
+    a[1, 0], a[1, 1], a[1, 2] = c01 * d, c11 * d, c21 * d
+    a[2, 0], a[2, 1], a[2, 2] = c02 * d, c12 * d, c22 * d
+
+
+@kernel
+def _subtract_product3(out, a, b, _):
+    """out -= a @ b for a (3, 3), b and out (3, columns)."""
+    for row in range(3):
+        a0, a1, a2 = a[row, 0], a[row, 1], a[row, 2]
+        for c in range(b.shape[1]):
+            out[row, c] -= a0 * b[0, c] + a1 * b[1, c] + a2 * b[2, c]
+
+
+@kernel
+def _apply_to_columns3(inverse, y, _):
+    for c in range(y.shape[1]):
+        y0, y1, y2 = y[0, c], y[1, c], y[2, c]
+        for row in range(3):
+            y[row, c] = inverse[row, 0] * y0 + inverse[row, 1] * y1 + inverse[row, 2] * y2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _subtract_product(out, a, b, room):
+    np.dot(a, b, room)
+    add(out, -1.0, room)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apply(inverse, y, room):
+    np.dot(inverse, y, room)
+    y[:] = room

@@ -4,26 +4,58 @@ Reference: E. Hairer and G. Wanner, "Stiff differential equations solved by Rada
 J. Comput. Appl. Math. 111 (1999) 93-111.
 """
 
-from collections import namedtuple
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.special import comb
 
-#: c (s,): nodes. a, a_inverse (s,s). real_value, value (p,): the real eigenvalue of a_inverse and
-#: those with positive imaginary part, s = 2 p + 1. real_left, left and real_right, right: rows of
-#: the inverse eigenvector matrix and columns of the eigenvector matrix. error (s,): weights of the
-#: stage increments in the error estimate. power (s+1,s+1): from a polynomial's values at (0, c) to
-#: its monomial coefficients. bernstein (s+1,s+1): the same to Bernstein coefficients on [0, 1].
-Tables = namedtuple(
-    "Tables",
-    "stages c a a_inverse real_value value real_left left real_right right error power bernstein",
-)
+from tss_ros.core.numerics.bernstein import from_monomials
+
+
+class Tables(NamedTuple):
+    """Coefficients of a method of s = 2 p + 1 stages.
+
+    Attributes
+    ----------
+    stages : int
+    c : ndarray, shape (s,)
+        Nodes.
+    a, a_inverse : ndarray, shape (s, s)
+        Runge-Kutta matrix and its inverse.
+    real_value : float
+        The real eigenvalue of `a_inverse`.
+    value : ndarray, shape (p,), complex
+        Its eigenvalues with positive imaginary part.
+    real_left, left : ndarray, shape (s,) and (p, s)
+        Their rows of the inverse eigenvector matrix.
+    real_right, right : ndarray, shape (s,) and (p, s)
+        Their columns of the eigenvector matrix.
+    error : ndarray, shape (s,)
+        Weights of the stage increments in the error estimate.
+    power : ndarray, shape (s + 1, s + 1)
+        From a polynomial's values at (0, c) to its monomial coefficients.
+    bernstein : ndarray, shape (s + 1, s + 1)
+        From these values to Bernstein coefficients on [0, 1].
+    """
+
+    stages: int
+    c: np.ndarray
+    a: np.ndarray
+    a_inverse: np.ndarray
+    real_value: float
+    value: np.ndarray
+    real_left: np.ndarray
+    left: np.ndarray
+    real_right: np.ndarray
+    right: np.ndarray
+    error: np.ndarray
+    power: np.ndarray
+    bernstein: np.ndarray
 
 
 @cache
-def radau(stages):
+def radau(stages: int) -> Tables:
     """Coefficients of the Radau IIA method.
 
     Parameters
@@ -64,19 +96,19 @@ def radau(stages):
     grid = np.concatenate([[0.0], c])
     monomial = np.linalg.inv(np.vander(grid, stages + 1, increasing=True))
     return Tables(
-        stages,
-        c,
-        a,
-        a_inverse,
-        value[real].real,
-        value[upper].copy(),
-        (left[real] * phase).real.copy(),
-        left[upper].copy(),
-        (right[:, real] / phase).real.copy(),
-        right[:, upper].T.copy(),
-        error,
-        monomial,
-        _bernstein(stages) @ monomial,
+        stages=stages,
+        c=c,
+        a=a,
+        a_inverse=a_inverse,
+        real_value=value[real].real,
+        value=value[upper].copy(),
+        real_left=(left[real] * phase).real.copy(),
+        left=left[upper].copy(),
+        real_right=(right[:, real] / phase).real.copy(),
+        right=right[:, upper].T.copy(),
+        error=error,
+        power=monomial,
+        bernstein=from_monomials(stages) @ monomial,
     )
 
 
@@ -91,9 +123,3 @@ def _nodes(stages):
         x[:-1] = inner - legendre.legval(inner, series) / legendre.legval(inner, slope)
     x[-1] = 1.0
     return ((x + 1.0) / 2.0).astype(float)
-
-
-def _bernstein(degree):
-    """Matrix from monomial to Bernstein coefficients on [0, 1]."""
-    i, k = np.mgrid[0 : degree + 1, 0 : degree + 1]
-    return np.where(k <= i, comb(i, k) / comb(degree, k), 0.0)

@@ -16,6 +16,10 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 #: arrays, which numba does otherwise, takes as long as a short kernel itself.
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 
+#: Decorates small pieces of kernels that take whole tuples of arrays: to pass those takes longer
+#: than their work.
+inlined = njit(inline="always")
+
 WIDTH = 4
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _OPERATORS = {
@@ -73,13 +77,13 @@ def store(_, array, index, value):
     return types.void(array, types.intp, LANES), code
 
 
-@njit(inline="always")
+@inlined
 def load3(array, index):
     """Three lots of lanes that follow each other: x, y and z."""
     return load(array, index), load(array, index + WIDTH), load(array, index + 2 * WIDTH)
 
 
-@njit(inline="always")
+@inlined
 def store3(array, index, x, y, z):
     """Write three lots of lanes that follow each other."""
     store(array, index, x)

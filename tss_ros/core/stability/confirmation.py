@@ -1,14 +1,18 @@
 """Confirmation of a verdict by direct simulation of a disturbed motion."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
-from tss_ros.core.model.system import finite
+from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
+from tss_ros.core.stability.result import FloquetResult
 
 #: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
 SMALL, STILL_SMALL = 1e-7, 1e-3
@@ -58,7 +62,7 @@ class Confirmation:
     turns: np.ndarray
     history: np.ndarray
 
-    def agrees_with(self, result):
+    def agrees_with(self, result: FloquetResult) -> bool | None:
         """Whether this motion is what a `FloquetResult` at its rate says.
 
         A formation said to be stable holds. One without a periodic motion is lost or does not
@@ -87,8 +91,14 @@ class Confirmation:
 
 
 def confirm(
-    system, spin_rate_ratio, state=None, disturbance_m=10.0, seed=0, turns=8, cancelled=None
-):
+    system: System,
+    spin_rate_ratio: float,
+    state: State | None = None,
+    disturbance_m: float = 10.0,
+    seed: int = 0,
+    turns: int = 8,
+    cancelled: Callable[[], bool] | None = None,
+) -> Confirmation:
     """Simulate a disturbed formation beside the undisturbed one.
 
     Parameters

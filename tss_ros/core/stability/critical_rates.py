@@ -1,11 +1,14 @@
 """Critical spin rates: where in an interval tethers first go slack or stability is lost."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tss_ros.core.errors import TssError
-from tss_ros.core.model.system import finite
+from tss_ros.core.model.system import System, finite
 from tss_ros.core.stability.floquet import compute_floquet
 
 CAUSES = ("first slack", "axis tilt", "shape", "spin", "no periodic motion")
@@ -38,8 +41,14 @@ class CriticalRate:
 
 
 def find_critical_rates(
-    system, ratio_from, ratio_to, tolerance=1e-3, spacing=0.05, progress=None, cancelled=None
-):
+    system: System,
+    ratio_from: float,
+    ratio_to: float,
+    tolerance: float = 1e-3,
+    spacing: float = 0.05,
+    progress: Callable[[float, tuple[CriticalRate, ...]], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> list[CriticalRate]:
     """All boundaries in an interval of spin rates, bracketed by bisection.
 
     Parameters
@@ -87,7 +96,7 @@ def find_critical_rates(
     for grid in grids:
         before = None
         for ratio in grid:
-            after = _look(system, float(ratio), cancelled)
+            after = _sample_at(system, float(ratio), cancelled)
             if before is not None:
                 found.extend(_bracket(system, before, after, tolerance, cancelled))
             before = after
@@ -105,7 +114,7 @@ class _Sample:
     cause: str
 
 
-def _look(system, ratio, cancelled):
+def _sample_at(system, ratio, cancelled):
     result = compute_floquet(system, ratio, certify=False, cancelled=cancelled)
     stable = result.verdict in ("neutral", "asymptotically stable")
     cause = "no periodic motion"
@@ -126,7 +135,7 @@ def _bracket(system, a, b, tolerance, cancelled):
     if (a.stable, a.slack) == (b.stable, b.slack) or not (a.stable or b.stable):
         return []
     if b.ratio - a.ratio > 2.0 * tolerance:
-        middle = _look(system, 0.5 * (a.ratio + b.ratio), cancelled)
+        middle = _sample_at(system, 0.5 * (a.ratio + b.ratio), cancelled)
         return [
             *_bracket(system, a, middle, tolerance, cancelled),
             *_bracket(system, middle, b, tolerance, cancelled),

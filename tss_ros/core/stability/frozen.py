@@ -3,10 +3,14 @@
 import numpy as np
 
 from tss_ros.core.model import forces
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.system import State, System
 from tss_ros.core.numerics import block_lu
 
 
-def frozen_jacobian(system, state, speed=1.0, length=1.0):
+def frozen_jacobian(
+    system: System, state: State, speed: float = 1.0, length: float = 1.0
+) -> np.ndarray:
     """J_0 = dF/dx of Eq. (52) in the orbit frame at t = 0, states ordered as in Eq. (29).
 
     Parameters
@@ -22,12 +26,12 @@ def frozen_jacobian(system, state, speed=1.0, length=1.0):
         [1/s] in these units.
     """
     n = system.n
-    plant = forces.plant(system, 0.0)
+    arrays = kernel_arrays(system, 0.0)
     symbolic = block_lu.analyse(n, system.tether_ends)
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
     taut = forces.tether_state(system, state.position_m, state.velocity_m_s)[2] | system.bilateral
     forces.jacobian(
-        plant, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
+        arrays, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
     )
     matrix = np.zeros((2, n, 3, 2, n, 3))
     matrix[0, symbolic.row, :, 0, symbolic.column, :] = by_v

@@ -7,17 +7,22 @@ MATLAB, ch. 3). Newton's equations have the tether graph's pattern, one block a 
 and memory grow linearly with the number of beads.
 """
 
+from __future__ import annotations
+
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.model import forces
-from tss_ros.core.model.configurations import rotating
+from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.system import State
+from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.numerics import block_lu
+from tss_ros.core.numerics.fourier import differentiation, resampled
 from tss_ros.core.stability.shooting import CLOSED, closure
 
 #: Harmonics of the spin, tried one after the other until the closure residual is below this.
@@ -27,7 +32,9 @@ HARMONICS, ENOUGH = (8, 16, 32), 0.1 * CLOSED
 ITERATIONS, FARTHEST, SETTLED = 20, 0.2, 1e-6
 
 
-def closed(flow, state, cancelled=None):
+def close_by_harmonic_balance(
+    integrator: Integrator, state: State, cancelled: Callable[[], bool] | None = None
+) -> State:
     """Start of the periodic motion next to a rigid turn, as far as tethers stay taut on it.
 
     With damping no motion with varying lengths closes exactly: the spin slows down. Starting as
@@ -35,7 +42,7 @@ def closed(flow, state, cancelled=None):
 
     Parameters
     ----------
-    flow : Flow
+    integrator : Integrator
     state : State
         Its positions, turning with the spin, are where the iteration begins.
     cancelled : callable, optional
@@ -53,15 +60,15 @@ def closed(flow, state, cancelled=None):
     Cancelled
         If `cancelled` said so.
     """
-    best, left = state, np.linalg.norm(closure(flow, state, cancelled)[0])
-    known = rigid = _rigid_turn(flow, state)
+    best, left = state, closure(integrator, state, cancelled).residual
+    known = rigid = _rigid_turn(integrator, state)
     for harmonics in HARMONICS:
-        found = _balanced(flow, known, harmonics, cancelled)
+        found = _balanced(integrator, known, harmonics, cancelled)
         known = found or rigid
         if found is None:
             continue
         with contextlib.suppress(IntegrationError):
-            after = np.linalg.norm(closure(flow, found.start, cancelled)[0])
+            after = closure(integrator, found.start, cancelled).residual
             if after < left:
                 best, left = found.start, after
         if left < ENOUGH:
@@ -78,78 +85,66 @@ class _Orbit:
     start: State
 
 
-def _rigid_turn(flow, state):
+def _rigid_turn(integrator, state):
     r = state.position_m[None]
     none = np.zeros_like(r)
-    return _Orbit(r, _tension(flow.plant, r, none, none, none), state)
+    return _Orbit(r, _tension(integrator.arrays, r, none, none, none), state)
 
 
-def _balanced(flow, known, harmonics, cancelled):
+def _balanced(integrator, known, harmonics, cancelled):
     """The motion with so many harmonics next to a known one, None if Newton's iteration fails."""
-    n, count, axes = flow.system.n, 2 * harmonics + 1, 3 if known.r[:, :, 2].any() else 2
-    plant, rate = flow.plant._replace(bilateral=True), abs(flow.plant.spin)
+    n, count, axes = integrator.system.n, 2 * harmonics + 1, 3 if known.r[:, :, 2].any() else 2
+    arrays, rate = integrator.arrays._replace(bilateral=True), abs(integrator.arrays.spin)
     time = 2.0 * math.pi / rate * np.arange(count) / count
-    slope = _differentiation(count) * rate
-    r, tension = (_resampled(x, count) for x in (known.r, known.tension))
+    slope = differentiation(count) * rate
+    r, tension = (resampled(x, count) for x in (known.r, known.tension))
     v = np.tensordot(slope, r, 1)
     pinned = int(np.argmax(np.linalg.norm(r[0], axis=1)))
-    free = _free_directions(plant, r[0, pinned], time, axes)
+    free = _free_directions(arrays, r[0, pinned], time, axes)
     for _ in range(ITERATIONS):
         if cancelled is not None and cancelled():
             raise Cancelled(f"stopped while balancing {harmonics} harmonics")
-        matrix, right = _equations(plant, flow.symbolic, time, slope, r, v, tension, axes)
+        matrix, right = _equations(arrays, integrator.symbolic, time, slope, r, v, tension, axes)
         matrix[pinned] += np.max(np.abs(matrix[pinned])) * (free.T @ free)
-        block_lu.factor_wide(flow.symbolic, matrix)
-        block_lu.solve_wide(flow.symbolic, matrix, right)
+        block_lu.factor_wide(integrator.symbolic, matrix)
+        block_lu.solve_wide(integrator.symbolic, matrix, right)
         # Damping takes of the spin; this angular acceleration makes up for it.
         turned = free[0] @ right[pinned]
         drive = -turned[0] / turned[1]
         change = np.zeros_like(r)
         change[:, :, :axes] = (right @ [1.0, drive]).reshape(n, count, axes).transpose(1, 0, 2)
-        size = np.max(np.abs(change)) / flow.control.length
+        size = np.max(np.abs(change)) / integrator.settings.length
         if not size < FARTHEST:
             return None
-        tension = _tension(plant, r, v, change, np.tensordot(slope, change, 1))
+        tension = _tension(arrays, r, v, change, np.tensordot(slope, change, 1))
         r = r + change
         v = np.tensordot(slope, r, 1)
         if size < SETTLED:
-            spin = flow.plant.spin + drive * math.pi / rate
-            return _Orbit(r, tension, State(r[0], v[0] + rotating(r[0], spin)))
+            spin = integrator.arrays.spin + drive * math.pi / rate
+            return _Orbit(r, tension, State(r[0], v[0] + rigid_velocity(r[0], spin)))
     return None
 
 
-def _resampled(x, count):
-    """The trigonometric polynomials through values at equal steps, at odd `count` other ones."""
-    return np.fft.irfft(np.fft.rfft(x, axis=0), count, axis=0) * (count / len(x))
-
-
-def _differentiation(count):
-    """Derivatives at odd `count` equal steps of a circle by the values there, (count, count)."""
-    apart = np.subtract.outer(np.arange(count), np.arange(count))
-    half = math.pi / count * apart + np.eye(count)
-    return np.where(apart == 0, 0.0, 0.5 * (-1.0) ** apart / np.sin(half))
-
-
-def _free_directions(plant, place, time, axes):
+def _free_directions(arrays, place, time, axes):
     """Phase of the spin and of the orbit, told by no force: of one bead, (2, count * axes)."""
     free = np.zeros((2, time.size, axes))
     free[0, :, :2] = [-place[1], place[0]] / np.linalg.norm(place)
-    free[1, :, 0], free[1, :, 1] = np.cos(plant.spin * time), -np.sin(plant.spin * time)
+    free[1, :, 0], free[1, :, 1] = np.cos(arrays.spin * time), -np.sin(arrays.spin * time)
     return free.reshape(2, -1) / math.sqrt(time.size)
 
 
-def _tension(plant, r, v, change, rate):
+def _tension(arrays, r, v, change, rate):
     """Tension (count, m) of every tether to first order in changes of r and v, Eq. (6)."""
-    first, second = plant.ends.T
+    first, second = arrays.ends.T
     e, w, by_r, by_v = (x[:, first] - x[:, second] for x in (r, v, change, rate))
     length = np.linalg.norm(e, axis=2)
     growth = np.sum(e * w, axis=2) / length
     longer = np.sum(e * by_r, axis=2) / length
     faster = (np.sum(e * by_v + w * by_r, axis=2) - growth * longer) / length
-    return plant.stiffness * (length - plant.rest + longer) + plant.damping * (growth + faster)
+    return arrays.stiffness * (length - arrays.rest + longer) + arrays.damping * (growth + faster)
 
 
-def _equations(plant, symbolic, time, slope, r, v, tension, axes):
+def _equations(arrays, symbolic, time, slope, r, v, tension, axes):
     """Newton's equations for r'' = a: matrix (blocks, w, w), right sides (n, w, 2) of a and z x r.
 
     Tethers are too stiff for their lengths to say how they pull while beads still move sideways:
@@ -157,14 +152,14 @@ def _equations(plant, symbolic, time, slope, r, v, tension, axes):
     belong to the tension, not the length, as if each tether's rest length were another.
     """
     count, n = r.shape[:2]
-    taut = np.ones(plant.rest.size, dtype=bool)
+    taut = np.ones(arrays.rest.size, dtype=bool)
     known = symbolic.row.size
     force, by_r, by_v = np.empty_like(r), *np.empty((2, count, symbolic.blocks, 3, 3))
     none = np.zeros_like(r)
-    apart = (_tension(plant, r, v, none, none) - tension) / plant.stiffness
+    apart = (_tension(arrays, r, v, none, none) - tension) / arrays.stiffness
     for k, at in enumerate(time):
-        forces.acceleration(plant, taut, at, v[k], r[k], force[k])
-        pulling = plant._replace(rest=plant.rest + apart[k])
+        forces.acceleration(arrays, taut, at, v[k], r[k], force[k])
+        pulling = arrays._replace(rest=arrays.rest + apart[k])
         forces.jacobian(pulling, symbolic.pair, taut, at, v[k], r[k], by_r[k], by_v[k])
     force -= np.tensordot(slope @ slope, r, 1)
     by_r, by_v = (x[:, :known, :axes, :axes].transpose(1, 0, 2, 3) for x in (by_r, by_v))

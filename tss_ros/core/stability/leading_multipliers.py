@@ -1,15 +1,20 @@
 """Leading multipliers of long rings, without ever forming the matrix.
 
 The monodromy matrix is known by its action: displacements carried over a turn. Block Arnoldi
-iteration (Y. Saad, Numerical Methods for Large Eigenvalue Problems, ch. 6) finds the multipliers
+iteration finds the multipliers
 that stand out of the others; where a long ring's all lie on the unit circle, none does.
 """
 
-import math
+from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
-from tss_ros.core.motion.displacements import carry
+from tss_ros.core.model.system import State
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.numerics.arnoldi import arnoldi
 
 #: Displacements carried together, half of them in the orbit plane and half out of it.
 BLOCK = 16
@@ -21,44 +26,14 @@ LOOK = 4
 CONVERGED = 1e-6
 
 
-def arnoldi(apply, start, most):
-    """Block Krylov space of a linear map, one application at a time.
-
-    Parameters
-    ----------
-    apply : callable
-        From displacements (N, b) to their images (N, b).
-    start : ndarray, shape (N, b)
-    most : int
-        Number of applications.
-
-    Yields
-    ------
-    basis : ndarray, shape (N, k)
-        Orthonormal, k growing by at most b.
-    image : ndarray, shape (N, k)
-        What the map makes of it.
-    """
-    basis, image = np.empty((2, start.shape[0], 0))
-    block = start
-    for _ in range(most):
-        for _ in range(2):
-            block, _ = np.linalg.qr(block - basis @ (basis.T @ block))
-        block = block[:, : start.shape[0] - basis.shape[1]]
-        if not block.size:
-            return
-        basis = np.hstack([basis, block])
-        block = apply(block)
-        image = np.hstack([image, block])
-        yield basis, image
-
-
-def leading_multipliers(flow, state, count, cancelled=None):
+def leading_multipliers(
+    integrator: Integrator, state: State, count: int, cancelled: Callable[[], bool] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """The multipliers of largest modulus, as far as they stand out.
 
     Parameters
     ----------
-    flow : Flow
+    integrator : Integrator
     state : State
         Start of the turn.
     count : int
@@ -78,15 +53,15 @@ def leading_multipliers(flow, state, count, cancelled=None):
     Raises
     ------
     IntegrationError, Cancelled
-        As `linear_flow.carry`.
+        As `carry_displacements`.
     """
-    half = 3 * flow.system.n
-    period = 2.0 * math.pi / abs(flow.plant.spin)
+    half = 3 * integrator.system.n
     start = np.random.default_rng(0).standard_normal((2, half // 3, 3, BLOCK))
     start[:, :, 2, : BLOCK // 2] = start[:, :, :2, BLOCK // 2 :] = 0.0
 
     def over_a_turn(block):
-        return carry(flow, flow.begin(state), block, period, cancelled, BLOCK // 2)[1]
+        begin, period = integrator.begin(state), integrator.period_s
+        return carry_displacements(integrator, begin, block, period, cancelled, BLOCK // 2)[1]
 
     space = arnoldi(over_a_turn, start.reshape(2 * half, BLOCK), MOST_TURNS)
     for turns, (basis, image) in enumerate(space, 1):

@@ -5,6 +5,8 @@ import math
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from tss_ros.core.model.system import State, System
+
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
 #: Scale of ln|rho| within which a multiplier counts as near the unit circle. Overdamped tethers
 #: relax so slowly that their modes turn with the spin as they do.
@@ -13,7 +15,9 @@ NEAR_CIRCLE = 0.01
 TURNS = np.cross(np.eye(3)[:, None], np.eye(3)[None, :])
 
 
-def label(system, state, multiplier, vectors):
+def label(
+    system: System, state: State, multiplier: np.ndarray, vectors: np.ndarray
+) -> np.ndarray:
     """Family of every multiplier, by the share of its eigenvector's motion that is rigid.
 
     Centre of mass and spin are also known to lie near the unit circle, and a multiplier lost in

@@ -1,17 +1,21 @@
 """Many spin rates and systems at once, on all cores."""
 
+from __future__ import annotations
+
 import itertools
 import os
 import sys
 import threading
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 from tss_ros.core.errors import Cancelled, TssError
 from tss_ros.core.model.system import System
-from tss_ros.core.stability.confirmation import confirm
-from tss_ros.core.stability.critical_rates import find_critical_rates
+from tss_ros.core.stability.confirmation import Confirmation, confirm
+from tss_ros.core.stability.critical_rates import CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.result import FloquetResult
 
 #: Jobs under way and ready for every worker, so that none has to wait for the next.
 AHEAD = 2
@@ -28,7 +32,7 @@ class FloquetJob:
     spin_rate_ratio: float
     method: str = "monodromy"
 
-    def run(self, cancelled=None):
+    def run(self, cancelled: Callable[[], bool] | None = None) -> FloquetResult:
         """`compute_floquet` of this job."""
         return compute_floquet(
             self.system, self.spin_rate_ratio, self.method, certify=False, cancelled=cancelled
@@ -44,7 +48,7 @@ class CriticalRatesJob:
     spin_rate_ratio_to: float
     tolerance: float = 1e-3
 
-    def run(self, cancelled=None):
+    def run(self, cancelled: Callable[[], bool] | None = None) -> list[CriticalRate]:
         """`find_critical_rates` of this job."""
         return find_critical_rates(
             self.system, self.spin_rate_ratio_from, self.spin_rate_ratio_to, self.tolerance,
@@ -62,7 +66,9 @@ class ConfirmationJob:
     disturbance_m: float = 10.0
     seed: int = 0
 
-    def run(self, cancelled=None):
+    def run(
+        self, cancelled: Callable[[], bool] | None = None
+    ) -> tuple[FloquetResult, Confirmation | None]:
         """`compute_floquet` and `confirm` of this job, the latter None if there is no motion."""
         result = compute_floquet(self.system, self.spin_rate_ratio, cancelled=cancelled)
         if not result.family:
@@ -73,7 +79,9 @@ class ConfirmationJob:
         )
 
 
-def sweep(jobs, workers=None, cancelled=None):
+def sweep(
+    jobs: Iterable, workers: int | None = None, cancelled: Callable[[], bool] | None = None
+) -> Iterator[tuple[int, object]]:
     """Run jobs side by side and give each outcome as it comes.
 
     Threads do: the integrator runs without Python's lock. An outcome does not depend on how many

@@ -1,14 +1,17 @@
 """Proofs that a monodromy matrix carries: what it must agree with, measured beside it."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
-from tss_ros.core.motion.displacements import carry
-from tss_ros.core.motion.propagator import Flow
-from tss_ros.core.stability.shooting import turn
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.stability.shooting import Turn, integrate_turn
 
 #: Parts the turn is cut into beside the whole.
 SEGMENTS = (3, 7)
@@ -18,12 +21,16 @@ DECAY = 4.0
 SPREAD, MOST_AROUND_SWITCHES = 8, 40
 
 
-def segment_error(latest, settled, cancelled=None):
+def segment_error(
+    turn: Turn,
+    settled: Callable[[np.ndarray], np.ndarray],
+    cancelled: Callable[[], bool] | None = None,
+) -> float:
     """Disagreement of the multipliers of the same turn cut into 3 and 7 parts with the whole's.
 
     Parameters
     ----------
-    latest : Turn
+    turn : Turn
     settled : callable
         Which multipliers (k,) to compare, as a mask: those in Jordan blocks split like the root of
         the error and are left out.
@@ -35,32 +42,40 @@ def segment_error(latest, settled, cancelled=None):
         Largest distance between two multipliers that belong together; infinite where the other
         turn proves to be chaotic.
     """
-    return max(_distance(latest, latest.flow, settled, cancelled, parts) for parts in SEGMENTS)
+    integrator = turn.integrator
+    return max(_distance(turn, integrator, settled, cancelled, parts) for parts in SEGMENTS)
 
 
-def convergence_error(latest, settled, cancelled=None):
+def convergence_error(
+    turn: Turn,
+    settled: Callable[[np.ndarray], np.ndarray],
+    cancelled: Callable[[], bool] | None = None,
+) -> float:
     """Change of the multipliers when the turn is integrated a hundred times more accurately.
 
     Parameters and value as `segment_error`.
     """
-    flow = latest.flow
-    finer = Flow(flow.system, flow.plant.spin, max(0.01 * flow.rtol, 1e-12), flow.control.length)
-    return _distance(latest, finer, settled, cancelled)
+    integrator = turn.integrator
+    finer = Integrator(
+        integrator.system, integrator.arrays.spin, max(0.01 * integrator.rtol, 1e-12),
+        integrator.settings.length,
+    )
+    return _distance(turn, finer, settled, cancelled)
 
 
-def _distance(latest, flow, settled, cancelled, parts=1):
+def _distance(turn, integrator, settled, cancelled, parts=1):
     """Largest distance of multipliers; infinite where the other turn proves to be chaotic."""
     try:
-        again = turn(flow, latest.start, cancelled, parts)
+        again = integrate_turn(integrator, turn.start, cancelled, parts)
     except IntegrationError:
         return math.inf
-    one, other = np.linalg.eigvals(latest.matrix), np.linalg.eigvals(again.matrix)
+    one, other = np.linalg.eigvals(turn.matrix), np.linalg.eigvals(again.matrix)
     apart = np.abs(one[:, None] - other[None, :])
     rows, columns = linear_sum_assignment(apart)
     return float(np.max(apart[rows, columns][settled(one[rows])], initial=0.0))
 
 
-def liouville_error(latest, cancelled=None):
+def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> float:
     """Error of log|det| = -sum C (1/m_i + 1/m_j) (time taut), Liouville's formula.
 
     Taken over stretches so short that the determinant does not vanish in rounding: around
@@ -68,7 +83,7 @@ def liouville_error(latest, cancelled=None):
 
     Parameters
     ----------
-    latest : Turn
+    turn : Turn
     cancelled : callable, optional
 
     Returns
@@ -76,39 +91,40 @@ def liouville_error(latest, cancelled=None):
     float
         Largest error of a stretch.
     """
-    flow = latest.flow
-    period = 2.0 * math.pi / abs(flow.plant.spin)
-    ends = flow.system.tether_ends
-    inverse = 1.0 / flow.system.mass_kg
-    rates = flow.system.damping_n_s_per_m * (inverse[ends[:, 0]] + inverse[ends[:, 1]])
+    integrator = turn.integrator
+    period = integrator.period_s
+    ends = integrator.system.tether_ends
+    inverse = 1.0 / integrator.system.mass_kg
+    rates = integrator.system.damping_n_s_per_m * (inverse[ends[:, 0]] + inverse[ends[:, 1]])
     # The fastest mode may decay a little more than once in a step; that is what limits the length.
     width = min(period / SPREAD, DECAY / max(np.sum(rates), 1e-300))
-    half = 3 * flow.system.n
-    motion = flow.begin(latest.start)
+    half = 3 * integrator.system.n
+    motion = integrator.begin(turn.start)
     worst = 0.0
-    for begin in _stretches(latest, period, width):
+    for begin in _stretches(turn, period, width):
         if cancelled is not None and cancelled():
-            raise Cancelled(f"stopped at {motion.time[0]:g} s of a turn of {period:g} s")
-        if begin > motion.time[0]:
-            flow.advance(motion, begin)
-        before = float(motion.dissipation[0])
-        part, matrix = carry(flow, motion, np.eye(2 * half), min(begin + width, period))
+            raise Cancelled(f"stopped at {motion.time:g} s of a turn of {period:g} s")
+        if begin > motion.time:
+            integrator.advance(motion, begin)
+        before = motion.dissipation
+        end = min(begin + width, period)
+        part, matrix = carry_displacements(integrator, motion, np.eye(2 * half), end)
         logarithm = np.linalg.slogdet(matrix)[1]
-        worst = max(worst, abs(logarithm + float(part.dissipation[0]) - before))
+        worst = max(worst, abs(logarithm + part.dissipation - before))
     return worst
 
 
-def _stretches(latest, period, width):
+def _stretches(turn, period, width):
     """Increasing start times of the stretches."""
     if period / width <= SPREAD + MOST_AROUND_SWITCHES:
         return np.arange(math.ceil(period / width)) * width
     times = [np.arange(SPREAD) * period / SPREAD]
-    if latest.switches:
-        motion = latest.flow.begin(latest.start)
+    if turn.switches:
+        motion = turn.integrator.begin(turn.start)
         found = []
-        while not latest.flow.advance(motion, period, steps=1):
-            if motion.count[3] > len(found):
-                found.extend([float(motion.time[0])] * int(motion.count[3] - len(found)))
+        while not turn.integrator.advance(motion, period, steps=1):
+            if motion.switches > len(found):
+                found.extend([motion.time] * (motion.switches - len(found)))
         found = np.unique(found)
         chosen = np.linspace(0, found.size - 1, min(found.size, MOST_AROUND_SWITCHES)).astype(int)
         times.append(np.maximum(found[chosen] - 0.5 * width, 0.0))

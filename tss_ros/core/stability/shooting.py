@@ -1,16 +1,20 @@
 """Variations over one turn and the correction of a start to a periodic motion by shooting."""
 
+from __future__ import annotations
+
 import contextlib
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tss_ros.core.errors import IntegrationError
-from tss_ros.core.model.symmetry import cyclic_symmetry
+from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
 from tss_ros.core.model.system import State
-from tss_ros.core.motion.displacements import carry, look
-from tss_ros.core.motion.propagator import Flow
+from tss_ros.core.motion.displacements import carry_displacements, check_limits
+from tss_ros.core.motion.propagator import Integrator
 
 #: Directions in which one turn changes a displacement by less than this are not corrected: they
 #: are the phases and rates that theory leaves free (multipliers 1 in Jordan blocks).
@@ -22,6 +26,8 @@ NEAR = 0.1
 #: A correction must leave at most this share of the residual to be taken, and at most the smaller
 #: one for the matrix to serve again; it is not tried if it aims at less than the smallest.
 WORTH_IT, STILL_SERVES, NOTHING_LEFT = 0.9, 0.5, 0.05
+#: Largest change of a scaled coordinate in one correction.
+LARGEST_CHANGE = 0.2
 #: Most corrections of one start.
 MOST_CORRECTIONS = 24
 
@@ -46,7 +52,7 @@ class Turn:
     dissipation : float
         Sum over tethers of C (1/m_i + 1/m_j) times the time spent taut: minus the logarithm of
         det(matrix) by Liouville's formula.
-    flow : Flow
+    integrator : Integrator
     """
 
     start: State
@@ -56,36 +62,39 @@ class Turn:
     switches: int
     steps: int
     dissipation: float
-    flow: Flow
+    integrator: Integrator
 
     @property
-    def closure_residual(self):
+    def closure_residual(self) -> float:
         """|x(T) - x(0)|, scaled, root of the sum of squares over all beads."""
         return float(np.linalg.norm(self.closure))
 
 
-def to_scaled(flow, state):
+def to_scaled(integrator: Integrator, state: State) -> np.ndarray:
     """Scaled coordinates (6n,) in the turning frame of a `State` at time 0 or a whole turn."""
-    spin, r, v = flow.plant.spin, state.position_m, np.array(state.velocity_m_s)
-    v[:, 0] += spin * r[:, 1]
-    v[:, 1] -= spin * r[:, 0]
-    return np.concatenate([v.ravel() / flow.control.speed, r.ravel() / flow.control.length])
+    r = state.position_m
+    v = state.velocity_m_s - rigid_velocity(r, integrator.arrays.spin)
+    return integrator.scaled(v, r)
 
 
-def from_scaled(flow, x):
+def from_scaled(integrator: Integrator, x: np.ndarray) -> State:
     """Inverse of `to_scaled`."""
-    v = x[: x.size // 2].reshape(-1, 3) * flow.control.speed
-    r = x[x.size // 2 :].reshape(-1, 3) * flow.control.length
-    spin = flow.plant.spin
-    return State(r, v + spin * np.stack([-r[:, 1], r[:, 0], np.zeros(len(r))], axis=1))
+    v = x[: x.size // 2].reshape(-1, 3) * integrator.settings.speed
+    r = x[x.size // 2 :].reshape(-1, 3) * integrator.settings.length
+    return State(r, v + rigid_velocity(r, integrator.arrays.spin))
 
 
-def turn(flow, state, cancelled=None, segments=1):
+def integrate_turn(
+    integrator: Integrator,
+    state: State,
+    cancelled: Callable[[], bool] | None = None,
+    segments: int = 1,
+) -> Turn:
     """Integrate one turn with all variations, Eqs. (12)-(16).
 
     Parameters
     ----------
-    flow : Flow
+    integrator : Integrator
     state : State
         At the start of the turn, in the orbit frame.
     cancelled : callable, optional
@@ -104,36 +113,57 @@ def turn(flow, state, cancelled=None, segments=1):
     Cancelled
         If `cancelled` said so.
     """
-    size = 6 * flow.system.n
-    motion, matrix = flow.begin(state), np.eye(size)
+    size = 6 * integrator.system.n
+    motion, matrix = integrator.begin(state), np.eye(size)
     for segment in range(segments):
-        stop = _period(flow) * (segment + 1) / segments
-        motion, part = carry(flow, motion, np.eye(size), stop, cancelled)
+        stop = integrator.period_s * (segment + 1) / segments
+        motion, part = carry_displacements(integrator, motion, np.eye(size), stop, cancelled)
         matrix = part @ matrix
-    x = _scaled_end(flow, motion)
+    x = integrator.scaled(motion.v, motion.r)
     return Turn(
-        state, from_scaled(flow, x), matrix, x - to_scaled(flow, state), int(motion.count[3]),
-        int(motion.count[0]), float(motion.dissipation[0]), flow,
+        start=state,
+        end=from_scaled(integrator, x),
+        matrix=matrix,
+        closure=x - to_scaled(integrator, state),
+        switches=motion.switches,
+        steps=motion.steps,
+        dissipation=motion.dissipation,
+        integrator=integrator,
     )
 
 
-def _period(flow, symmetry=None):
-    """[s] one turn, or the part of it after which a symmetric motion closes."""
-    return 2.0 * math.pi / abs(flow.plant.spin) / (symmetry.order if symmetry else 1)
+@dataclass(frozen=True)
+class Closure:
+    """How far a motion is from closing.
+
+    Attributes
+    ----------
+    difference : ndarray, shape (6n,)
+        x(T) - x(0), scaled as in `Turn`.
+    switches : int
+        Slack/taut switches on the way.
+    """
+
+    difference: np.ndarray
+    switches: int
+
+    @property
+    def residual(self) -> float:
+        """Norm of the difference."""
+        return float(np.linalg.norm(self.difference))
 
 
-def _scaled_end(flow, motion):
-    return np.concatenate(
-        [motion.v.ravel() / flow.control.speed, motion.r.ravel() / flow.control.length]
-    )
-
-
-def closure(flow, state, cancelled=None, symmetry=None):
-    """x(T) - x(0) of a start, scaled as in `Turn`, from the motion alone, and its switches.
+def closure(
+    integrator: Integrator,
+    state: State,
+    cancelled: Callable[[], bool] | None = None,
+    symmetry: Symmetry | None = None,
+) -> Closure:
+    """x(T) - x(0) of a start, from the motion alone.
 
     Parameters
     ----------
-    flow, state, cancelled
+    integrator, state, cancelled
         As for `turn`.
     symmetry : Symmetry, optional
         Integrate 1/order of a turn only, and rotate and rename its end so that a symmetric motion
@@ -141,24 +171,26 @@ def closure(flow, state, cancelled=None, symmetry=None):
 
     Returns
     -------
-    residual : ndarray, shape (6n,)
-    switches : int
+    Closure
 
     Raises
     ------
     IntegrationError, Cancelled
         As `turn`.
     """
-    motion, period = flow.begin(state), _period(flow, symmetry)
-    while not flow.advance(motion, period, steps=500):
-        look(motion, period, cancelled)
-    x = _scaled_end(flow, motion)
+    motion = integrator.begin(state)
+    period = integrator.period_s / (symmetry.order if symmetry else 1)
+    while not integrator.advance(motion, period, steps=500):
+        check_limits(motion, period, cancelled)
+    x = integrator.scaled(motion.v, motion.r)
     if symmetry:
-        x = symmetry.back(flow.plant.spin < 0.0, x)
-    return x - to_scaled(flow, state), int(motion.count[3])
+        x = symmetry.back(integrator.arrays.spin < 0.0, x)
+    return Closure(x - to_scaled(integrator, state), motion.switches)
 
 
-def corrected(flow, starts, cancelled=None):
+def close_by_shooting(
+    integrator: Integrator, starts: Iterable[State], cancelled: Callable[[], bool] | None = None
+) -> tuple[Turn, State, float]:
     """Shoot for the periodic motion next to the first start that leads to one.
 
     Where equal satellites make the formation symmetric, a part of the turn is shot for first: that
@@ -169,7 +201,7 @@ def corrected(flow, starts, cancelled=None):
 
     Parameters
     ----------
-    flow : Flow
+    integrator : Integrator
     starts : iterable of State
         Tried in this order, at least one.
     cancelled : callable, optional
@@ -191,9 +223,9 @@ def corrected(flow, starts, cancelled=None):
         If `cancelled` said so.
     """
     shots, failure = [], None
-    for start, missed_by, symmetry in _attempts(flow, starts, cancelled):
+    for start, missed_by, symmetry in _attempts(integrator, starts, cancelled):
         try:
-            shots.append((_shoot(flow, start, cancelled, symmetry), start, missed_by))
+            shots.append((_shoot(integrator, start, cancelled, symmetry), start, missed_by))
         except IntegrationError as error:
             failure = failure or error
             continue
@@ -202,46 +234,46 @@ def corrected(flow, starts, cancelled=None):
     if not shots:
         raise failure
     shot, start, missed_by = min(shots, key=lambda attempt: attempt[0].residual)
-    return turn(flow, shot.state, cancelled), start, missed_by
+    return integrate_turn(integrator, shot.state, cancelled), start, missed_by
 
 
-def _attempts(flow, starts, cancelled):
+def _attempts(integrator, starts, cancelled):
     """Starts with the symmetry to use, and then those near closing once more without.
 
     Where tethers go slack from both, a start that closes no better than the first is left out: at
     some two thousand rates of different rings none of these led to a motion that closes.
     """
-    symmetry, tried = cyclic_symmetry(flow.system), []
+    symmetry, tried = cyclic_symmetry(integrator.system), []
     part = symmetry if symmetry.order > 1 else None
     for start in starts:
         if tried:
-            first, slack = _missed_by(flow, tried[0][0], cancelled, part)
-            other, also_slack = _missed_by(flow, start, cancelled, part)
+            first, slack = _missed_by(integrator, tried[0][0], cancelled, part)
+            other, also_slack = _missed_by(integrator, start, cancelled, part)
             if slack and also_slack and other >= first:
                 continue
-        tried.append((start, _missed_by(flow, start, cancelled)[0]))
+        tried.append((start, _missed_by(integrator, start, cancelled)[0]))
         yield *tried[-1], part
     if part:
         yield from ((*attempt, None) for attempt in tried if attempt[1] <= NEAR)
 
 
-def _missed_by(flow, start, cancelled, symmetry=None):
+def _missed_by(integrator, start, cancelled, symmetry=None):
     """Closure residual of a start, infinite if it cannot be integrated, and its switches."""
     try:
-        residual, switches = closure(flow, start, cancelled, symmetry)
+        missed = closure(integrator, start, cancelled, symmetry)
     except IntegrationError:
         return math.inf, 0
-    return float(np.linalg.norm(residual)), switches
+    return missed.residual, missed.switches
 
 
-def _shoot(flow, state, cancelled, symmetry):
+def _shoot(integrator, state, cancelled, symmetry):
     """A shot for a part of the turn, if there is a symmetry, and for all of it if that closed."""
-    calm = _with_enough_damping(flow.system)
-    if calm is not flow.system:
-        state = _Shot(flow.of(calm), state, cancelled, symmetry).improve().state
-    shot = _Shot(flow, state, cancelled, symmetry).improve()
+    calm = _with_enough_damping(integrator.system)
+    if calm is not integrator.system:
+        state = _NewtonShooting(integrator.of(calm), state, cancelled, symmetry).improve().state
+    shot = _NewtonShooting(integrator, state, cancelled, symmetry).improve()
     if symmetry and shot.residual <= CLOSED:
-        shot = _Shot(flow, shot.state, cancelled, None, whole_of=shot)
+        shot = _NewtonShooting(integrator, shot.state, cancelled, None, whole_of=shot)
         if shot.residual <= NEAR:
             shot.improve()
     return shot
@@ -259,15 +291,16 @@ def _with_enough_damping(system):
     )
 
 
-class _Shot:
+class _NewtonShooting:
     """A start that is improved by Newton's method, with matrices used for as long as they serve.
 
     A motion in the orbit plane stays there, so that only its variations in the plane are needed.
     """
 
-    def __init__(self, flow, state, cancelled, symmetry, whole_of=None):
-        self.flow, self.state, self.cancelled, self.symmetry = flow, state, cancelled, symmetry
-        x = to_scaled(flow, state)
+    def __init__(self, integrator, state, cancelled, symmetry, whole_of=None):
+        self.integrator, self.state = integrator, state
+        self.cancelled, self.symmetry = cancelled, symmetry
+        x = to_scaled(integrator, state)
         self.free = np.arange(x.size)
         if not x[2::3].any():
             self.free = np.delete(self.free, np.s_[2::3])
@@ -275,7 +308,7 @@ class _Shot:
             self._renew()
         else:
             parts = whole_of.symmetry.order
-            self.closure, self.switches = closure(flow, state, cancelled)
+            self.closure = closure(integrator, state, cancelled)
             self._use(
                 np.linalg.matrix_power(whole_of.matrix, parts), parts * whole_of.matrix_switches
             )
@@ -283,21 +316,22 @@ class _Shot:
 
     @property
     def residual(self):
-        return float(np.linalg.norm(self.closure))
+        return self.closure.residual
 
     def _renew(self):
         """Find closure and matrix of the present start."""
-        begin = self.flow.begin(self.state)
-        x, varied = to_scaled(self.flow, self.state), np.eye(6 * self.flow.system.n)[:, self.free]
-        stop = _period(self.flow, self.symmetry)
-        motion, varied = carry(self.flow, begin, varied, stop, self.cancelled)
-        end = _scaled_end(self.flow, motion)
+        integrator, parts = self.integrator, self.symmetry.order if self.symmetry else 1
+        x = to_scaled(integrator, self.state)
+        motion, varied = carry_displacements(
+            integrator, integrator.begin(self.state), np.eye(x.size)[:, self.free],
+            integrator.period_s / parts, self.cancelled,
+        )
+        end = integrator.scaled(motion.v, motion.r)
         if self.symmetry:
-            end, varied = (
-                self.symmetry.back(self.flow.plant.spin < 0.0, part) for part in (end, varied)
-            )
-        self.closure, self.switches = end - x, int(motion.count[3])
-        self._use(varied[self.free], self.switches)
+            clockwise = integrator.arrays.spin < 0.0
+            end, varied = (self.symmetry.back(clockwise, part) for part in (end, varied))
+        self.closure = Closure(end - x, motion.switches)
+        self._use(varied[self.free], motion.switches)
         self.fresh = True
 
     def _use(self, matrix, switches):
@@ -308,7 +342,7 @@ class _Shot:
         """Correct the start as far as it goes; returns itself."""
         with contextlib.suppress(IntegrationError):
             for _ in range(MOST_CORRECTIONS):
-                if self.switches != self.matrix_switches:
+                if self.closure.switches != self.matrix_switches:
                     self._renew()
                 change, share = self._correction()
                 if share < NOTHING_LEFT or self.residual < 1e-12:
@@ -324,20 +358,21 @@ class _Shot:
         """Change of the scaled start, and the share of the residual that it is meant to remove."""
         u, s, vt = self.decomposed
         bound = s > FREE_DIRECTION
-        aim = u[:, bound].T @ self.closure[self.free]
-        change = np.zeros(self.closure.size)
+        aim = u[:, bound].T @ self.closure.difference[self.free]
+        change = np.zeros(self.closure.difference.size)
         change[self.free] = -(vt[bound].T @ (aim / s[bound]))
         share = np.linalg.norm(aim) / max(self.residual, 1e-300)
-        return change * min(1.0, 0.2 / max(np.max(np.abs(change)), 1e-300)), share
+        return change * min(1.0, LARGEST_CHANGE / max(np.max(np.abs(change)), 1e-300)), share
 
     def _try(self, change):
         """Move the start if that makes the residual smaller; returns by what factor it would."""
-        state = from_scaled(self.flow, to_scaled(self.flow, self.state) + change)
+        integrator = self.integrator
+        state = from_scaled(integrator, to_scaled(integrator, self.state) + change)
         try:
-            after, switches = closure(self.flow, state, self.cancelled, self.symmetry)
+            after = closure(integrator, state, self.cancelled, self.symmetry)
         except IntegrationError:
             return math.inf
-        gain = np.linalg.norm(after) / self.residual
-        if gain <= (WORTH_IT if switches >= self.switches else 1.0):
-            self.state, self.closure, self.switches, self.fresh = state, after, switches, False
+        gain = after.residual / self.residual
+        if gain <= (WORTH_IT if after.switches >= self.closure.switches else 1.0):
+            self.state, self.closure, self.fresh = state, after, False
         return gain

@@ -1,0 +1,114 @@
+"""Frames: the orbit frame, and the one that turns with the formation.
+
+Both share the origin and the z axis. The turning frame rotates at the spin rate omega against the
+orbit frame and coincides with it at time 0 and after whole turns:
+
+    r_orbit = Q(omega t) r_turning,    v_orbit = Q(omega t) (v_turning + omega z x r_turning).
+"""
+
+import math
+
+import numpy as np
+
+from tss_ros.core.numerics.simd import inlined, kernel
+
+
+def rigid_velocity(position_m: np.ndarray, spin_rate_rad_s: float) -> np.ndarray:
+    """Velocities omega z x r of a rigid turn about z, the initial ones of section 2.1.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (n, 3)
+    spin_rate_rad_s : float
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        [m/s]
+    """
+    x, y = position_m[:, 0], position_m[:, 1]
+    return spin_rate_rad_s * np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+
+def rotated_about_z(x: np.ndarray, angle: float) -> np.ndarray:
+    """Vectors turned counter-clockwise about z.
+
+    Parameters
+    ----------
+    x : ndarray, shape (..., 3)
+    angle : float
+        [rad]
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    return np.stack(
+        [c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1], x[..., 2]], axis=-1
+    )
+
+
+@inlined
+def _into_orbit(c, s, spin, x, y, vx, vy):
+    """Plane components of one position and velocity, c = cos(omega t), s = sin(omega t)."""
+    vx, vy = vx - spin * y, vy + spin * x
+    return c * x - s * y, s * x + c * y, c * vx - s * vy, s * vx + c * vy
+
+
+@inlined
+def _into_turning(c, s, spin, x, y, vx, vy):
+    """The inverse of `_into_orbit`."""
+    x, y, vx, vy = c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx
+    return x, y, vx + spin * y, vy - spin * x
+
+
+@kernel
+def to_orbit_frame(spin, time, v, r, out_v, out_r):
+    """Turn velocities and positions of the turning frame into those of the orbit frame.
+
+    Parameters
+    ----------
+    spin, time : float
+        omega [rad/s] and t [s].
+    v, r, out_v, out_r : ndarray, shape (n, 3)
+        The outputs may be the inputs.
+    """
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(r.shape[0]):
+        out_r[i, 0], out_r[i, 1], out_v[i, 0], out_v[i, 1] = _into_orbit(
+            c, s, spin, r[i, 0], r[i, 1], v[i, 0], v[i, 1]
+        )
+        out_r[i, 2], out_v[i, 2] = r[i, 2], v[i, 2]
+
+
+@kernel
+def to_turning_frame(spin, time, v, r):
+    """The inverse of `to_orbit_frame`, in place."""
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(r.shape[0]):
+        r[i, 0], r[i, 1], v[i, 0], v[i, 1] = _into_turning(
+            c, s, spin, r[i, 0], r[i, 1], v[i, 0], v[i, 1]
+        )
+
+
+@kernel
+def variations_to_orbit_frame(spin, time, x_v, x_r):
+    """`to_orbit_frame` of variations (n, 3, k) of velocity and position, in place."""
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(x_r.shape[0]):
+        for b in range(x_r.shape[2]):
+            x_r[i, 0, b], x_r[i, 1, b], x_v[i, 0, b], x_v[i, 1, b] = _into_orbit(
+                c, s, spin, x_r[i, 0, b], x_r[i, 1, b], x_v[i, 0, b], x_v[i, 1, b]
+            )
+
+
+@kernel
+def variations_to_turning_frame(spin, time, x_v, x_r):
+    """The inverse of `variations_to_orbit_frame`, in place."""
+    c, s = math.cos(spin * time), math.sin(spin * time)
+    for i in range(x_r.shape[0]):
+        for b in range(x_r.shape[2]):
+            x_r[i, 0, b], x_r[i, 1, b], x_v[i, 0, b], x_v[i, 1, b] = _into_turning(
+                c, s, spin, x_r[i, 0, b], x_r[i, 1, b], x_v[i, 0, b], x_v[i, 1, b]
+            )

@@ -1,0 +1,98 @@
+"""What is known of the multipliers at one spin rate."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tss_ros.core.model.system import State
+
+METHODS = ("monodromy", "frozen")
+VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion", "undecided")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FloquetResult:
+    """Multipliers at one spin rate, with what is known of their accuracy.
+
+    Attributes
+    ----------
+    method : str
+        "monodromy" or "frozen".
+    spin_rate_ratio : float
+        w = omega / Omega.
+    spin_rate_rad_s, period_s : float
+        omega [rad/s] and T = 2 pi / |omega| [s].
+    multiplier : ndarray, shape (6n,) or (leading,), complex
+        Largest modulus first; empty if there is no configuration or the motion is chaotic, and
+        then all that follows from multipliers is NaN.
+    family : tuple of str, as long
+        One of `FAMILIES` for each multiplier.
+    max_modulus, max_modulus_nontrivial : float
+        Over all, and over those of axis tilt and shape; of leading ones, over those found.
+    verdict : str
+        One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
+        the centre of mass never decay, so Eq. (47) cannot hold for them. "undecided": none of the
+        leading multipliers that were found lies outside, but some were not found.
+    tolerance : float
+        Distance from the unit circle that the verdict counts as lying on it. Near 1, within
+        twice the root of the closure residual, where the drift of a damped motion splits Jordan
+        blocks, three times `jordan_error` counts instead, if that is more.
+    closure_residual : float
+        |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
+        speed.
+    initial_closure_residual : float
+        The same for the start as given, before any correction; infinite if that turn cannot be
+        integrated.
+    trivial_error : float
+        Largest distance from the unit circle of the four simple centre-of-mass multipliers
+        exp(+-i Omega T), which theory puts on it. NaN for "frozen".
+    jordan_error : float
+        The same for the multipliers at 1 that come in Jordan blocks; about the square root of the
+        matrix's error. A distance beyond 1e-3 and twice the root of the closure residual is no
+        such split, and the motion is called unstable. NaN for "frozen".
+    det_z_error : float
+        |det Z - 1| of the out-of-plane block of a planar motion; NaN otherwise or for "frozen".
+    flow_error : float
+        Scaled error of M f(x(0)) = f(x(T)), which holds on every motion of the autonomous orbit
+        frame, closed or not, and through every switch. NaN for "frozen".
+    segment_error, convergence_error : float
+        Largest change of a multiplier outside the Jordan blocks when the turn is cut into 3 and 7
+        parts whose matrices are multiplied, and when it is integrated a hundred times more
+        accurately. NaN if not certified.
+    liouville_error : float
+        Error of Liouville's formula for log|det M|, see `certificate.liouville_error`. NaN if not
+        certified.
+    switches : int
+        Slack/taut switches in the turn.
+    state : State
+        Start of the motion analysed.
+    message : str
+        Remarks for the reader.
+    residual : ndarray, shape (leading,)
+        |M v - rho v| / |v| of leading multipliers; empty where the whole matrix was computed.
+    """
+
+    method: str
+    spin_rate_ratio: float
+    spin_rate_rad_s: float
+    period_s: float
+    multiplier: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=complex))
+    family: tuple[str, ...] = ()
+    max_modulus: float = math.nan
+    max_modulus_nontrivial: float = math.nan
+    verdict: str = "no periodic motion"
+    tolerance: float = math.nan
+    closure_residual: float = math.nan
+    initial_closure_residual: float = math.nan
+    trivial_error: float = math.nan
+    jordan_error: float = math.nan
+    det_z_error: float = math.nan
+    flow_error: float = math.nan
+    switches: int = 0
+    state: State = field(repr=False)
+    segment_error: float = math.nan
+    convergence_error: float = math.nan
+    liouville_error: float = math.nan
+    message: str = ""
+    residual: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
