@@ -20,7 +20,7 @@ IDLE_S = 0.1
 DRAIN_S, FINISH_S = 0.3, 10.0
 
 
-class State(enum.IntEnum):
+class PlayState(enum.IntEnum):
     """As in SimulationState."""
 
     STOPPED, PLAYING, PAUSED, QUITTING = range(4)
@@ -65,7 +65,7 @@ class Control:
     """
 
     def __init__(self, simulation, pace, flow, wake, begin, publish, on_idle, logger, play, batch):
-        self.state = State.PLAYING if play else State.PAUSED
+        self.state = PlayState.PLAYING if play else PlayState.PAUSED
         self.failure = ""
         self.step, self.run = -1, 0
         self.meter = Meter()
@@ -110,7 +110,7 @@ class Control:
         """Play, pause or quit."""
         if target == self.state:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, f"it is {target.name.lower()} already")
-        if target == State.PLAYING and self.failure:
+        if target == PlayState.PLAYING and self.failure:
             raise Refused(Code.STATE_TRANSITION_ERROR, f"{self.failure}; reset first")
         self._end_stepping(f"{target.name.lower()} was asked for")
         self.state = target
@@ -119,7 +119,7 @@ class Control:
 
     def take_steps(self, answer, steps):
         """Publish so many steps of a paused simulation."""
-        if self.state != State.PAUSED:
+        if self.state != PlayState.PAUSED:
             raise Refused(
                 Code.INCORRECT_STATE, f"it is {self.state.name.lower()}; stepping needs paused"
             )
@@ -135,10 +135,10 @@ class Control:
 
     def stop_and_reset(self, answer, make_setup):
         """Begin anew, and stand still there."""
-        if self.state == State.STOPPED:
+        if self.state == PlayState.STOPPED:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, "it is stopped already")
         self.reset(answer, make_setup, time=True)
-        self.state = State.STOPPED
+        self.state = PlayState.STOPPED
 
     def reset(self, answer, make_setup, time):
         """Begin the motion anew with `make_setup()`, unless None, and time at 0, if `time`."""
@@ -178,7 +178,7 @@ class Control:
             If the motion cannot be continued and `batch` is true.
         """
         try:
-            while not self._stopping and self.state != State.QUITTING:
+            while not self._stopping and self.state != PlayState.QUITTING:
                 self._wake.clear()
                 self._serve()
                 if self.simulation.at_end and not self._changing:
@@ -202,7 +202,7 @@ class Control:
 
     def _wait_s(self):
         """How long [s] until the next state may go out; 0 or less: now."""
-        playing = self.state == State.PLAYING and not self.failure
+        playing = self.state == PlayState.PLAYING and not self.failure
         hurry = self._changing or self._stepping or self.step < 0
         if not (playing or hurry):
             return math.inf
@@ -258,7 +258,7 @@ class Control:
             raise error
         self.failure = str(error)
         self._logger.error(f"{error}; it is paused and waits for a reset")
-        self.state = State.PAUSED
+        self.state = PlayState.PAUSED
         self._end_stepping(self.failure)
 
     def _begin_run(self, answer):

@@ -17,8 +17,7 @@ from tss_interfaces.srv import (
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
-from tss_ros.simulator.control import Code, Refused
-from tss_ros.simulator.control import State as ControlState
+from tss_ros.simulator.control import Code, PlayState, Refused
 
 #: Largest offset [m] and change of velocity [m/s] in a Disturb request.
 MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
@@ -63,10 +62,10 @@ class SimulationServices:
 
     async def _set_state(self, request, response):
         target = request.state.state
-        if target == ControlState.STOPPED:
+        if target == PlayState.STOPPED:
             return await self._ask(response, self._do_stop)
-        if target in tuple(ControlState):
-            return await self._ask(response, self._control.set_state, ControlState(target))
+        if target in tuple(PlayState):
+            return await self._ask(response, self._control.set_state, PlayState(target))
         return await self._ask(response, _refuse, f"state is {target}; allowed: 0 to 3")
 
     async def _step(self, request, response):

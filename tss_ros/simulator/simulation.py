@@ -21,7 +21,7 @@ from tss_ros.core import (
     tether_state,
 )
 from tss_ros.simulator import snapshot
-from tss_ros.simulator.snapshot import Checkpoint
+from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
@@ -130,7 +130,7 @@ class _Trajectory:
         self._pool = ThreadPoolExecutor(max_workers=1)
         self._rows, self._future = deque(), None
         self._count = 1
-        self._before = self._after = self._checkpoint(0)
+        self._before = self._after = make_checkpoint(self._propagator, 0)
         self.index = -1
         self.wall_s_per_step = math.nan
         self.last = math.inf
@@ -179,8 +179,7 @@ class _Trajectory:
 
     def resume(self, checkpoint):
         """Put the integrator where a checkpoint was made, before anything is taken."""
-        for array, kept in zip(self._propagator._motion, checkpoint.arrays.values()):
-            array[...] = kept
+        resume(self._propagator, checkpoint)
         self._before = self._after = checkpoint
 
     def close(self):
@@ -215,12 +214,8 @@ class _Trajectory:
             deviation(position_m, self._setup.reference_radius_m),
             *tether_state(self._setup.system, position_m, velocity_m_s),
         )
-        end = self._checkpoint(first + count - 1)
+        end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(list(rows), end, time.monotonic() - begun)
-
-    def _checkpoint(self, index):
-        motion = self._propagator._motion  # all that the integrator remembers
-        return Checkpoint(index, {k: array.copy() for k, array in motion._asdict().items()})
 
 
 class Simulation:
