@@ -1,5 +1,6 @@
 """The messages of a bag in bulk: a million steps in the time the disk and numpy take."""
 
+import contextlib
 import os
 import re
 import struct
@@ -54,6 +55,36 @@ def bag_files(path):
     if not files:
         raise TssError(f"{str(path)!r} holds no .mcap file")
     return sorted(files, key=lambda f: [int(n) for n in re.findall(r"_(\d+)\.mcap$", f.name)])
+
+
+@contextlib.contextmanager
+def open_complete(file):
+    """Open an MCAP file to be read, for a `with` block that needs it complete.
+
+    Parameters
+    ----------
+    file : Path
+
+    Yields
+    ------
+    file object
+
+    Raises
+    ------
+    TssError
+        If it cannot be read, or if the block finds it damaged.
+    """
+    try:
+        with file.open("rb") as stream:
+            yield stream
+    except OSError as error:
+        raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
+    except DAMAGE as error:
+        reason = str(error) or type(error).__name__
+        raise TssError(
+            f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
+            "killed, `recover` makes a whole bag of it"
+        ) from error
 
 
 def indexed_reader(stream):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tss_ros.bags.reader import DAMAGE, STATES, BagContent, bag_files
+from tss_ros.bags.reader import STATES, BagContent, bag_files, open_complete
 from tss_ros.core import TssError, deviation
 from tss_ros.core.model.system import RADIUS_EARTH_M
 
@@ -167,17 +167,8 @@ def read_bag(path, run=None):
     shown = str(path)
     bag = BagContent(shown)
     for file in bag_files(path):
-        try:
-            with file.open("rb") as stream:
-                bag.read(stream)
-        except OSError as error:
-            raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
-        except DAMAGE as error:
-            reason = error or type(error).__name__
-            raise TssError(
-                f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
-                "killed, `recover` makes a whole bag of it"
-            ) from error
+        with open_complete(file) as stream:
+            bag.read(stream)
     beads, tethers = (bag.runs(name) for name in STATES)
     if len(beads) != len(tethers):
         raise TssError(

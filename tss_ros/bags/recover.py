@@ -129,8 +129,8 @@ def _whole_file(path, topics):
         indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
         for chunk, index in zip(chunks, indexes, strict=True):
             # One whose head is blank reads like an empty chunk without a checksum.
-            told = index.uncompressed_size, index.compression
-            if (chunk.uncompressed_size, chunk.compression) != told:
+            indexed = index.uncompressed_size, index.compression
+            if (chunk.uncompressed_size, chunk.compression) != indexed:
                 raise ValueError(f"a chunk of {path} is not as the file's index says")
             get_chunk_data_stream(chunk, validate_crc=True)
     file = BagFile(path.name)

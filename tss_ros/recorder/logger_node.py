@@ -7,15 +7,15 @@ import sys
 import threading
 import time
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from tss_interfaces.msg import RecorderStatus
 
 from tss_ros.bags.cdr import stamp_ns, step_number
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
-from tss_ros.ros import parameters
+from tss_ros.ros import diagnostics, parameters
+from tss_ros.ros.messages import stamp
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import read_topics
 
@@ -201,9 +201,8 @@ class LoggerNode(TssNode):
 
     def _report(self):
         self._reported_step = self._last_step
-        now_ns = time.time_ns()
         status = RecorderStatus(
-            stamp=Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9),
+            stamp=stamp(time.time_ns()),
             output=str(self._writer.directory.absolute()),
             recording=True,
             matched=all(
@@ -222,21 +221,15 @@ class LoggerNode(TssNode):
                 raise
 
     def _diagnose(self):
-        ok = not self._lost
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR,
-            name=f"{self.get_fully_qualified_name()}: recording",
-            hardware_id="none",
-            message="nothing lost" if ok else f"{self._lost} messages were lost",
-            values=[
-                KeyValue(key="output", value=str(self._writer.path)),
-                KeyValue(key="messages", value=str(self._writer.message_count)),
-                *(KeyValue(key=k, value=v) for k, v in self._writer.notes.items()),
-            ],
+        self._diagnostics.publish(
+            diagnostics.of_recorder(
+                self.get_fully_qualified_name(),
+                self.get_clock().now().to_msg(),
+                str(self._writer.path),
+                self._writer.message_count,
+                self._writer.notes,
+            )
         )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
 
 
 def main():

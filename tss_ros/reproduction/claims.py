@@ -12,12 +12,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tss_ros.core import Propagator, compute_floquet, confirm, find_critical_rates, tether_state
+from tss_ros.core.stability.confirmation import LOST, SAMPLES
 from tss_ros.scenarios import scenario
 
 DISTURBANCE_M, SEED = 10.0, 1
-SAMPLES_PER_TURN = 200
-#: A motion is lost when a distance changes by more than this part of the radius.
-LOST = 0.2
+#: Motions are recorded as densely as `confirm` samples them.
+SAMPLES_PER_TURN = SAMPLES
 #: Half-width within which a computed critical rate agrees with the paper's three digits.
 AGREES = 0.02
 #: Dampings tried [N s/m], besides those identified.
@@ -27,7 +27,7 @@ RIGID_EDGE = -(1.0 + math.sqrt(2.5))
 
 
 @dataclass(frozen=True)
-class Motion:
+class PaperMotion:
     """One simulated motion of the paper's figures.
 
     Attributes
@@ -45,18 +45,18 @@ class Motion:
 
 
 MOTIONS = {
-    "figure_03": Motion("three_star", -2.0, 3, 0.0),
-    "figure_04": Motion("three_star", -2.5, 3, 0.0),
-    "figure_06": Motion("three_star", -2.0),
-    "figure_07": Motion("three_star", -2.5),
-    "figure_10_2.5": Motion("three_star_50kg", -2.5),
-    "figure_10_2.9": Motion("three_star_50kg", -2.9),
-    "figure_11_1.5": Motion("three_star_1000kg", -1.5),
-    "figure_11_2.2": Motion("three_star_1000kg", -2.2),
-    "figure_14_1.5": Motion("six_bead", -1.5, 12),
-    "figure_14_2.2": Motion("six_bead", -2.2, 12),
+    "figure_03": PaperMotion("three_star", -2.0, 3, 0.0),
+    "figure_04": PaperMotion("three_star", -2.5, 3, 0.0),
+    "figure_06": PaperMotion("three_star", -2.0),
+    "figure_07": PaperMotion("three_star", -2.5),
+    "figure_10_2.5": PaperMotion("three_star_50kg", -2.5),
+    "figure_10_2.9": PaperMotion("three_star_50kg", -2.9),
+    "figure_11_1.5": PaperMotion("three_star_1000kg", -1.5),
+    "figure_11_2.2": PaperMotion("three_star_1000kg", -2.2),
+    "figure_14_1.5": PaperMotion("six_bead", -1.5, 12),
+    "figure_14_2.2": PaperMotion("six_bead", -2.2, 12),
     # Not the paper's: a rate at which our six beads hold, to see what lengths and shape do then.
-    "six_bead_2.9": Motion("six_bead", -2.9, 12),
+    "six_bead_2.9": PaperMotion("six_bead", -2.9, 12),
 }
 
 #: The 3-stars, by mass.

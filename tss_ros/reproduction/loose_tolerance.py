@@ -5,16 +5,41 @@ left to the step control. Nothing else in the package computes with it.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.integrate import odeint
 
 from tss_ros.core import Cancelled, disturbed, initial_state
-from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M
+from tss_ros.core.model.system import MU_EARTH
 from tss_ros.reproduction.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 
 TURNS, SAMPLES_PER_TURN = 8, 50
+
+
+class _Constants(NamedTuple):
+    """Constants of Eq. (1) in SI units.
+
+    Attributes
+    ----------
+    mass : ndarray, shape (n,)
+    first, second : ndarray, shape (m,), int
+        Beads at the two ends of each segment.
+    rest, stiffness, damping : ndarray, shape (m,)
+        L [m], EA [N] and C [N s/m].
+    rate, radius : float
+        Of the orbit [rad/s], [m].
+    """
+
+    mass: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    rest: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    rate: float
+    radius: float
 
 
 def held_edges(names, damping, tolerances, cancelled):
@@ -39,21 +64,21 @@ def largest_deviation(of, rate, rtol, cancelled):
     start = disturbed(initial_state(of, rate), DISTURBANCE_M, SEED)
     turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))
     first, second = np.ascontiguousarray(of.tether_ends.T)
-    constants = (
-        of.mass_kg,
-        first,
-        second,
-        of.rest_length_m,
-        of.axial_stiffness_n,
-        of.damping_n_s_per_m,
-        of.orbit_rate_rad_s,
-        RADIUS_EARTH_M + of.orbit_altitude_m,
+    constants = _Constants(
+        mass=of.mass_kg,
+        first=first,
+        second=second,
+        rest=of.rest_length_m,
+        stiffness=of.axial_stiffness_n,
+        damping=of.damping_n_s_per_m,
+        rate=of.orbit_rate_rad_s,
+        radius=of.orbit_radius_m,
     )
 
     def derivative(state, _):
         if cancelled():
             raise Cancelled(f"stopped at rate {rate:g}")
-        return _derivative(state, *constants)
+        return _derivative(state, constants)
 
     states = odeint(
         derivative,
@@ -70,7 +95,8 @@ def largest_deviation(of, rate, rtol, cancelled):
 
 
 @njit(cache=True)
-def _derivative(state, mass, first, second, rest, stiffness, damping, rate, radius):
+def _derivative(state, constants):
+    mass, first, second, rest, stiffness, damping, rate, radius = constants
     n = mass.size
     change = np.empty(6 * n)
     change[3 * n :] = state[: 3 * n]

@@ -9,7 +9,6 @@ from importlib.metadata import version
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, TransformStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
@@ -133,9 +132,31 @@ def simulation_event(time_ns, step, run, kind, text, frame_id):
 
 
 def simulation_status(
-    wall_ns, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
+    wall_ns, *, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
 ):
-    """How the simulator is doing; times in ns, `state` by its number."""
+    """How the simulator is doing.
+
+    Parameters
+    ----------
+    wall_ns : int
+        Wall time [ns].
+    state : int
+        Number of the state, as in SimulationState.
+    time_ns : int
+        Simulation time [ns] of the newest step.
+    step, run : int
+        Of the newest step.
+    time_scale, real_time_factor : float
+        Simulated seconds per wall second, wanted and reached [-].
+    step_cost_s : float
+        Wall time per step [s].
+    message : str
+        Why the motion cannot be continued; "" if it can.
+
+    Returns
+    -------
+    SimulationStatus
+    """
     return SimulationStatus(
         stamp=stamp(wall_ns),
         state=simulation_state(state),
@@ -146,77 +167,6 @@ def simulation_status(
         real_time_factor=real_time_factor,
         step_cost_s=step_cost_s,
         message=message,
-    )
-
-
-def diagnostics(name, status, slack, recorders):
-    """Diagnostics of a simulator.
-
-    Parameters
-    ----------
-    name : str
-        Fully qualified name of the node.
-    status : SimulationStatus
-    slack : sequence of str
-        Names of the tethers that are slack.
-    recorders : dict of str to (int, int)
-        By output: steps that each recorder is behind, and messages it has lost.
-
-    Returns
-    -------
-    diagnostic_msgs.msg.DiagnosticArray
-    """
-    playing = status.state.state == SimulationState.STATE_PLAYING
-    if status.message:
-        motion = DiagnosticStatus.ERROR, status.message
-    elif playing and status.real_time_factor < 0.9 * status.time_scale:
-        motion = DiagnosticStatus.WARN, "slower than time_scale asks for"
-    else:
-        names = {SimulationState.STATE_STOPPED: "stopped", SimulationState.STATE_PAUSED: "paused"}
-        motion = DiagnosticStatus.OK, names.get(status.state.state, "playing")
-    lost = sum(lost for _, lost in recorders.values())
-    recording = (
-        (DiagnosticStatus.WARN, f"{lost} messages were lost")
-        if lost
-        else (DiagnosticStatus.OK, "recording" if recorders else "no recorder")
-    )
-    tethers = (
-        (DiagnosticStatus.WARN, f"{len(slack)} slack")
-        if slack
-        else (DiagnosticStatus.OK, "all taut")
-    )
-    tasks = {
-        "motion": (
-            motion,
-            {
-                "real-time factor": f"{status.real_time_factor:.4g}",
-                "time_scale": f"{status.time_scale:.4g}",
-                "step cost [ms]": f"{1e3 * status.step_cost_s:.4g}",
-                "step": str(status.step),
-                "run": str(status.run),
-            },
-        ),
-        "tethers": (tethers, {"slack": ", ".join(slack)}),
-        "recorders": (
-            recording,
-            {
-                output: f"{behind} steps behind, {lost} messages lost"
-                for output, (behind, lost) in recorders.items()
-            },
-        ),
-    }
-    return DiagnosticArray(
-        header=Header(stamp=status.stamp),
-        status=[
-            DiagnosticStatus(
-                name=f"{name}: {task}",
-                hardware_id=name,
-                level=level,
-                message=text,
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-            for task, ((level, text), values) in tasks.items()
-        ],
     )
 
 

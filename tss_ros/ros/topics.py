@@ -15,6 +15,8 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 
 from tss_ros.core import TssError
 
+#: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
+CLOCK_RATE_HZ = 200.0
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 #: Most messages that a topic may be told to keep.

@@ -12,8 +12,8 @@ from tss_ros.simulator.pacing import MAX_LAG_S, Meter
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000
-#: How often [s] to look whether a recorder has connected, or fallen silent.
-RECORDER_CHECK_S = 0.05
+#: How often [s] to ask `begin` whether the simulation may begin.
+BEGIN_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
 IDLE_S = 0.1
 #: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
@@ -54,7 +54,7 @@ class Control:
     begin : callable
         Nothing is published until it returns true.
     publish : callable
-        Called with step and Row.
+        Called with step and Sample, when the next state is due.
     on_idle : callable
         Called while it waits, at least each IDLE_S; returns how soon [s] it wants the next call.
     logger : rclpy logger
@@ -64,7 +64,9 @@ class Control:
         Whether a motion that cannot be continued is the end, as nobody is there to reset it.
     """
 
-    def __init__(self, simulation, pace, flow, wake, begin, publish, on_idle, logger, play, batch):
+    def __init__(
+        self, simulation, pace, flow, wake, *, begin, publish, on_idle, logger, play, batch
+    ):
         self.state = PlayState.PLAYING if play else PlayState.PAUSED
         self.failure = ""
         self.step, self.run = -1, 0
@@ -127,7 +129,8 @@ class Control:
             raise Refused(Code.INCORRECT_STATE, "another request is stepping")
         if not 1 <= steps <= MOST_STEPS:
             raise Refused(
-                Code.OPERATION_FAILED, f"steps is {steps}; allowed: a whole number from 1 to 10000"
+                Code.OPERATION_FAILED,
+                f"steps is {steps}; allowed: a whole number from 1 to {MOST_STEPS}",
             )
         if self.failure:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
@@ -208,7 +211,7 @@ class Control:
             return math.inf
         if not self._begun:
             if not self._begin():
-                return RECORDER_CHECK_S
+                return BEGIN_CHECK_S
             self._begun = True
             self._started = time.monotonic()
         if not self.simulation.ready:
@@ -228,15 +231,15 @@ class Control:
         return wait_s
 
     def _publish_next(self):
-        begun, before_ns = time.monotonic(), self.simulation.row.time_ns
+        begun, before_ns = time.monotonic(), self.simulation.newest.time_ns
         changed = bool(self._changing) or self.step < 0
         try:
-            row = self.simulation.take()
+            sample = self.simulation.take()
         except IntegrationError as error:
             self._fail(error)
             return
         self.step += 1
-        self._publish(self.step, row)
+        self._publish(self.step, sample)
         self._flow.published = self.step
         if changed:
             self._drain_until = 0.0
@@ -246,7 +249,7 @@ class Control:
                 answer.set_result(None)
             return
         cost_s = time.monotonic() - begun + self.simulation.integration_s
-        self.meter.add((row.time_ns - before_ns) / 1e9, cost_s)
+        self.meter.add((sample.time_ns - before_ns) / 1e9, cost_s)
         if self._stepping:
             self._steps_left -= 1
             if not self._steps_left:
@@ -282,7 +285,7 @@ class Control:
         if self._stopping or self.step < 0:
             return
         wall_s = time.monotonic() - self._started
-        turns = self.simulation.row.time_ns / 1e9 / self.simulation.setup.turn_s
+        turns = self.simulation.newest.time_ns / 1e9 / self.simulation.setup.turn_s
         self._logger.info(
             f"{self.step + 1} steps, {turns:.2f} turns, in {wall_s:.2f} s; "
             f"tethers switched between slack and taut {self.simulation.switches} times"

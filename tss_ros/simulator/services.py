@@ -182,7 +182,7 @@ class SimulationServices:
             )
         if seed < 0:
             raise TssError(f"seed is {seed}; allowed: a whole number from 0")
-        still = np.zeros_like(self._control.simulation.row.position_m)
+        still = np.zeros_like(self._control.simulation.newest.position_m)
         offset_m = disturbed(State(still, still), size, seed).position_m
         return offset_m, 0.0, f"all: random offsets of norm {size:g} m, seed {seed}"
 

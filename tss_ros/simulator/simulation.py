@@ -95,10 +95,20 @@ class Setup:
         return values
 
 
-class Row(NamedTuple):
-    """One state: time [ns]; per bead positions [m], velocities [m/s] and deviation [-]; per tether.
+class Sample(NamedTuple):
+    """One state of a motion, in the orbit frame.
 
-    Shapes (n, 3), (n, 3), (n,) and, for length [m], tension [N] and taut, (m,).
+    Attributes
+    ----------
+    time_ns : int
+        Simulation time [ns].
+    position_m, velocity_m_s : ndarray, shape (n, 3)
+        Of every bead.
+    deviation : ndarray, shape (n,)
+        Eq. (53) [-].
+    length_m, tension_n : ndarray, shape (m,)
+        Of every tether segment.
+    taut : ndarray, shape (m,), bool
     """
 
     time_ns: int
@@ -111,6 +121,8 @@ class Row(NamedTuple):
 
 
 class _Chunk(NamedTuple):
+    """States integrated in one go: Samples without their time, the end, wall time taken [s]."""
+
     rows: list
     end: Checkpoint
     wall_s: float
@@ -147,7 +159,7 @@ class _Trajectory:
         return bool(self._rows) or (self._future is not None and self._future.done())
 
     def take(self):
-        """The next state, as a Row without its time; waits for it when it must.
+        """The next state, as the fields of a Sample but its time; waits for it when it must.
 
         Raises
         ------
@@ -221,14 +233,14 @@ class _Trajectory:
 class Simulation:
     """The motion of one system, state by state, with the changes that users may make to it.
 
-    Not for several threads at once. Every change takes effect at the newest state, `row`, and makes
-    `take` return that changed state next.
+    Not for several threads at once. Every change takes effect at the newest state, `newest`, and
+    makes `take` return that changed state next.
 
     Parameters
     ----------
     setup : Setup
     turns : float
-        Spin turns after which it ends; 0: when time cannot be told any more.
+        Spin turns after which it ends; 0: when `MAX_TIME_S` is reached.
     on_ready : callable
         Called, in any thread, when states have become ready.
     """
@@ -245,14 +257,14 @@ class Simulation:
 
     @property
     def at_end(self):
-        """Whether `row` is the last."""
+        """Whether `newest` is the last."""
         return not self._changed and self._trajectory.index >= self._trajectory.last
 
     @property
     def next_time_s(self):
         """Simulation time [s] of the state that `take` returns next."""
         if self._changed:
-            return self.row.time_ns / 1e9
+            return self.newest.time_ns / 1e9
         return self._time_ns(self._trajectory.index + 1) / 1e9
 
     @property
@@ -277,23 +289,23 @@ class Simulation:
             self._changed = False
         else:
             state = self._trajectory.take()
-            self.row = Row(self._time_ns(self._trajectory.index), *state)
-        return self.row
+            self.newest = Sample(self._time_ns(self._trajectory.index), *state)
+        return self.newest
 
     def reset(self, setup=None, time=True):
         """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
         if setup is not None:
-            self._begin(setup, setup.start, 0 if time else self.row.time_ns)
+            self._begin(setup, setup.start, 0 if time else self.newest.time_ns)
         elif time:
-            self._base_ns -= self.row.time_ns
-            self.row = self.row._replace(time_ns=0)
+            self._base_ns -= self.newest.time_ns
+            self.newest = self.newest._replace(time_ns=0)
             self._limit()
         self._changed = True
 
     def disturb(self, offset_m, velocity_m_s):
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
-        state = State(self.row.position_m + offset_m, self.row.velocity_m_s + velocity_m_s)
-        self._begin(self.setup, state, self.row.time_ns)
+        state = State(self.newest.position_m + offset_m, self.newest.velocity_m_s + velocity_m_s)
+        self._begin(self.setup, state, self.newest.time_ns)
 
     def save(self, file):
         """Write a snapshot.
@@ -349,7 +361,7 @@ class Simulation:
         if self._trajectory is not None:
             self._trajectory.close()
         self._trajectory, self._base_ns = trajectory, base_ns
-        self.row = Row(self._time_ns(trajectory.index), *state)
+        self.newest = Sample(self._time_ns(trajectory.index), *state)
         self._changed = True
         self._limit()
 

@@ -38,8 +38,16 @@ VARIED = {p.name: p for p in parameters.OVERRIDES if p.name != "spin_rate_ratio"
 
 
 @dataclass
-class Row:
-    """A value of a sweep's parameter, NaN if none is varied, and why it makes no system, or ""."""
+class VariedValue:
+    """A value of the parameter that a sweep varies.
+
+    Attributes
+    ----------
+    value : float
+        NaN if no parameter is varied.
+    message : str
+        Why it makes no system; "" if it does.
+    """
 
     value: float
     message: str = ""
@@ -47,11 +55,21 @@ class Row:
 
 @dataclass
 class Plan:
-    """A checked sweep: a row for each value, the jobs, each with its row's index, and remarks."""
+    """A checked sweep.
 
-    rows: list = field(default_factory=list)
-    jobs: list = field(default_factory=list)
-    remarks: list = field(default_factory=list)
+    Attributes
+    ----------
+    rows : list of VariedValue
+        A row of the result for each.
+    jobs : list of (int, FloquetJob or CriticalRatesJob)
+        Each with the index of its row.
+    remarks : list of str
+        What whoever asked should know besides.
+    """
+
+    rows: list[VariedValue] = field(default_factory=list)
+    jobs: list[tuple[int, FloquetJob | CriticalRatesJob]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
 
 def check_method(request):
@@ -139,7 +157,7 @@ def plan_sweep(request, build, cancelled):
     if name in overrides:
         raise TssError(f"parameter is {name!r}, also in overrides; allowed: in one of the two")
     per_row = len(rates) + search
-    plan = Plan([Row(value) for value in request.value or [math.nan]])
+    plan = Plan([VariedValue(value) for value in request.value or [math.nan]])
     if (count := len(plan.rows) * per_row) > MAX_JOBS:
         raise TssError(
             f"value, spin_rate_ratio and the interval make {count} jobs; "

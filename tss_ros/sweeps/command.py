@@ -26,7 +26,7 @@ MAX_LISTED = 1000
 PROGRESS_S = 0.2
 
 
-def compute(question, store, workers=None, scheduler="", told=None, cancelled=None):
+def compute(question, store, workers=None, scheduler="", on_job_done=None, cancelled=None):
     """Do and record the jobs that are missing from a store.
 
     Parameters
@@ -37,7 +37,7 @@ def compute(question, store, workers=None, scheduler="", told=None, cancelled=No
         Threads of this process; as many as there are cores if not given.
     scheduler : str
         Address of a Dask scheduler whose workers do it instead; "" for none.
-    told : callable, optional
+    on_job_done : callable, optional
         Called after every job.
     cancelled : callable, optional
 
@@ -57,8 +57,8 @@ def compute(question, store, workers=None, scheduler="", told=None, cancelled=No
     with contextlib.closing(outcomes):
         for index, outcome in outcomes:
             store.record(missing[index], *outcome)
-            if told:
-                told()
+            if on_job_done:
+                on_job_done()
 
 
 def table(question, store):
