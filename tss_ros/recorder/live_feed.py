@@ -8,7 +8,7 @@ from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
 
 from tss_ros.bags.cdr import stamp_ns, step_number
-from tss_ros.bags.recording import Recording, described_fields
+from tss_ros.bags.recording import Description, Recording
 from tss_ros.core import TssError
 
 #: The viewer gets at most this many steps, this often [s]; a display shows no more.
@@ -32,7 +32,7 @@ class LiveFeed:
             name: deque(maxlen=WAITING)
             for name in ("system_description", "bead_states", "tether_states", "stability_results")
         }
-        self._described = None
+        self._description = None
         self._beads, self._tethers, self._stability = {}, {}, ()
         self._shown_step, self._first_step = -1, 0
         self._stopping = threading.Event()
@@ -74,17 +74,17 @@ class LiveFeed:
             self._beads, self._tethers, self._shown_step = {}, {}, -1
         if descriptions:
             message = deserialize_message(descriptions[-1], SystemDescription)
-            self._described, self._first_step = described_fields(message), message.first_step
+            self._description, self._first_step = Description.of(message), message.first_step
         results = [deserialize_message(d, FloquetResult) for d in self._take("stability_results")]
         self._stability += tuple(results)
         self._beads |= {step: data for step, data in beads.items() if step >= self._first_step}
         self._tethers |= tethers
         steps = sorted(self._beads.keys() & self._tethers.keys())
         first = self._shown_step < 0
-        if self._described and steps:
+        if self._description and steps:
             shown = steps[:: 1 + len(steps) // STEPS]
             states = [(self._beads[step], self._tethers[step]) for step in shown]
-            review.show(Recording(**self._described, **_arrays(states)))
+            review.show(Recording(**vars(self._description), **_arrays(states)))
             self._shown_step = steps[-1]
             # What is left are steps of which only one half has come so far.
             for waiting in (self._beads, self._tethers):

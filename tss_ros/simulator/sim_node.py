@@ -18,7 +18,7 @@ from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.simulation import Setup, Simulation
 
-#: /clock is published at least this often [s]: who comes while time stands still must learn it, too.
+#: /clock is published at least this often [s]: who comes while time stands still must learn it.
 CLOCK_PERIOD_S = 0.1
 #: /tf is published at most this often [1/s of wall time].
 TF_RATE_HZ = 50.0
@@ -270,8 +270,8 @@ class SimNode(TssNode):
 
 def _system_of(options):
     """Scenario and overrides among the options."""
-    names = [parameter.name for parameter in parameters.OVERRIDES]
-    return options["scenario"], {name: options[name] for name in names if name in options}
+    overrides = (parameter.name for parameter in parameters.OVERRIDES)
+    return options["scenario"], {name: options[name] for name in overrides if name in options}
 
 
 def main():

@@ -5,12 +5,12 @@ the field, its value and what is allowed.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import parameters
-from tss_ros.ros.parameters import Parameter
+from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
 
 #: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
 #: cube of the beads, `CERTIFIED` times that if certified, and each turn of its simulation as twice
@@ -28,13 +28,14 @@ MAX_SEARCH = 540
 MAX_JOBS, MAX_JOB_BEADS, MAX_WIDTH = 10_000, 100_000, 1000
 #: What a search is given besides overrides; a field left at zero means the default.
 SEARCH = (
-    Parameter("spin_rate_ratio_from", float, "One end [-].", -1e4, 1e4, default=0.0),
-    Parameter("spin_rate_ratio_to", float, "Other end [-].", -1e4, 1e4, default=0.0),
-    Parameter("tolerance", float, "Largest uncertainty [-].", 1e-6, 0.1, default=1e-3),
+    replace(SPIN_RATE_RATIO, name="spin_rate_ratio_from", default=0.0),
+    replace(SPIN_RATE_RATIO, name="spin_rate_ratio_to", default=0.0),
+    Parameter("tolerance", float, "Largest uncertainty", "-", 1e-6, 0.1, default=1e-3),
 )
-DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets [m].", 1e-6, 1e6)
-#: What a sweep may vary: all that makes a system, but not the rates, which a goal has of its own.
-VARIED = {p.name: p for p in parameters.OVERRIDES if p.name != "spin_rate_ratio"}
+#: The simulation beside a verdict; how many turns are allowed depends on the system.
+CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)
+DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets", "m", 1e-6, 1e6)
+_VARIED = {parameter.name: parameter for parameter in VARIED}
 
 
 @dataclass
@@ -84,7 +85,7 @@ def check_floquet(request, system):
     """The method and the turns to be simulated of a ComputeFloquet request."""
     method = check_method(request)
     longest = min(MAX_TURNS, MAX_BEAD_TURNS // system.n)
-    turns = Parameter("confirm_turns", int, "", 0, longest).check(request.confirm_turns)
+    turns = replace(CONFIRM_TURNS, maximum=longest).check(request.confirm_turns)
     if turns:
         DISTURBANCE.check(request.confirm_disturbance_m)
     work = (CERTIFIED if request.certify else 1) * system.n**3 + 2 * system.n * turns
@@ -147,8 +148,8 @@ def plan_sweep(request, build, cancelled):
         )
     overrides = parameters.read_overrides(request.overrides)
     name = request.parameter
-    if name and name not in VARIED:
-        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(VARIED)}")
+    if name and name not in _VARIED:
+        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(_VARIED)}")
     if bool(name) != bool(request.value):
         raise TssError(
             f"parameter is {name!r} and value has {len(request.value)} values; "
@@ -168,7 +169,7 @@ def plan_sweep(request, build, cancelled):
         if cancelled():
             raise Cancelled("canceled before it began")
         try:
-            varied = {name: _checked(VARIED[name], row.value)} if name else {}
+            varied = {name: _checked(_VARIED[name], row.value)} if name else {}
             system = build({**overrides, **varied})
         except TssError as error:
             row.message = str(error)

@@ -16,6 +16,7 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import cluster
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, Question
 from tss_ros.sweeps.store import Store
@@ -295,7 +296,9 @@ def _parse(arguments):
         "--confirm", type=int, default=0, metavar="TURNS",
         help=f"simulate disturbed formations {BESIDE} beside critical rates",
     )  # fmt: skip
-    parser.add_argument("--parameter", default="", help="parameter to vary, e.g. damping_n_s_per_m")
+    parser.add_argument(
+        "--parameter", default="", help=f"parameter to vary: {', '.join(names(VARIED))}"
+    )
     parser.add_argument("--values", nargs="+", type=float, default=[], metavar="VALUE")
     parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
     parser.add_argument(
