@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -124,24 +125,24 @@ class Recording(Description):
     lost: int | None = None
 
     @property
-    def turns(self):
+    def turns(self) -> np.ndarray:
         """Simulation time in spin turns [-], shape (k,)."""
         return self.t_s / self.turn_s
 
     @property
-    def centre_of_mass_m(self):
+    def centre_of_mass_m(self) -> np.ndarray:
         """Centre of mass in the orbit frame [m], shape (k, 3)."""
         return np.average(self.position_m, axis=1, weights=self.mass_kg)
 
     @property
-    def deviation_from_centre(self):
+    def deviation_from_centre(self) -> np.ndarray:
         """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
         return deviation(
             self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
         )
 
     @property
-    def energy_j(self):
+    def energy_j(self) -> np.ndarray:
         """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
 
         Kinetic energy, that of gravity and centrifugal force against the frame's origin, and that
@@ -159,7 +160,7 @@ class Recording(Description):
         return 0.5 * ((speed2 + tidal) @ self.mass_kg + stretch_m**2 @ stiffness)
 
 
-def read_bag(path, run=None):
+def read_bag(path: str | Path, run: int | None = None) -> Recording:
     """Read one run from a bag.
 
     Parameters

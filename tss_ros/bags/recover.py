@@ -9,6 +9,7 @@ import mmap
 import os
 import struct
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -34,7 +35,7 @@ DAMAGED_SUFFIX = ".damaged"
 _CHUNK_MARK, _CHUNK_MARK_OFFSET = struct.pack("<I", 3) + b"lz4", 37
 
 
-def find_cut(folder):
+def find_cut(folder: str | Path) -> list[Path]:
     """Bags in a folder that were begun by a recorder of ours that is gone, and never completed.
 
     Parameters
@@ -54,7 +55,7 @@ def find_cut(folder):
     return sorted(b for b in begun if not (b / "metadata.yaml").exists() and not _in_use(b))
 
 
-def recover(bag):
+def recover(bag: str | Path) -> list[str]:
     """Make a bag whole, in place.
 
     Parameters
@@ -254,7 +255,7 @@ def _free_name(path):
     return free
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `recover`: exit status 0, or 1 with one line why for each bag that failed."""
     parser = argparse.ArgumentParser(
         prog="recover", description="Make whole bags of recordings that were cut short."

@@ -4,6 +4,7 @@ import threading
 from collections import deque
 
 import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
 
@@ -23,10 +24,10 @@ class LiveFeed:
     Parameters
     ----------
     logger : rclpy logger
-        Told if there is no viewer; recording goes on without.
+        Gets an error if there is no viewer; recording goes on without.
     """
 
-    def __init__(self, logger):
+    def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self._waiting = {
             name: deque(maxlen=WAITING)
@@ -38,16 +39,16 @@ class LiveFeed:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
-    def start(self):
+    def start(self) -> None:
         """Open the viewer and begin to show."""
         self._thread.start()
 
-    def take(self, name, data):
+    def take(self, name: str, data: bytes) -> None:
         """Take one serialised message of the topic `name`; returns at once."""
         if name in self._waiting:
             self._waiting[name].append(data)
 
-    def stop(self):
+    def stop(self) -> None:
         """Let go of the viewer, within about a second."""
         self._stopping.set()
         self._thread.join(timeout=1.0)

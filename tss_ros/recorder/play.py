@@ -35,7 +35,7 @@ class PlayNode(TssNode):
         As `main` makes it.
     """
 
-    def __init__(self, options):
+    def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("play")
         self._options = options
         self._publisher, self._latched = {}, set()
@@ -59,12 +59,12 @@ class PlayNode(TssNode):
             f"playing {options.bag} at {options.rate:g} times simulation time; service ~/pause"
         )
 
-    def start(self):
+    def start(self) -> None:
         """Begin to play in a thread of its own."""
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
 
-    def stop(self):
+    def stop(self) -> None:
         """End playing."""
         self._stopping.set()
         self._playing.set()
@@ -155,7 +155,7 @@ def _qos(channel):
     )
 
 
-def main():
+def main() -> None:
     """Executable `play`."""
     parser = argparse.ArgumentParser(
         prog="play",

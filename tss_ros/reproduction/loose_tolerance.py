@@ -5,13 +5,14 @@ left to the step control. Nothing else in the package computes with it.
 """
 
 import math
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.integrate import odeint
 
-from tss_ros.core import Cancelled, disturbed, initial_state
+from tss_ros.core import Cancelled, System, disturbed, initial_state
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.reproduction.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 
@@ -42,7 +43,9 @@ class _Constants(NamedTuple):
     radius: float
 
 
-def held_edges(names, damping, tolerances, cancelled):
+def held_edges(
+    names: Iterable[str], damping: float, tolerances: Iterable[float], cancelled: Callable[[], bool]
+) -> list[list]:
     """Rate at which a disturbed motion is first held, by scenario and relative tolerance.
 
     Half-width 0.025; None where no rate between 2.0 and 2.9 separates lost from held.
@@ -59,7 +62,7 @@ def held_edges(names, damping, tolerances, cancelled):
     return rows
 
 
-def largest_deviation(of, rate, rtol, cancelled):
+def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[[], bool]) -> float:
     """Largest change of a distance from the centre of mass, over itself, in `TURNS` turns."""
     start = disturbed(initial_state(of, rate), DISTURBANCE_M, SEED)
     turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))

@@ -1,11 +1,16 @@
 """What the nodes say on /diagnostics: how each of their tasks goes."""
 
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
-from tss_interfaces.msg import SimulationState
+from tss_interfaces.msg import SimulationState, SimulationStatus
 
 
-def of_simulator(name, status, slack, recorders):
+def of_simulator(
+    name: str, status: SimulationStatus, slack: Sequence[str], recorders: dict[str, tuple[int, int]]
+) -> DiagnosticArray:
     """Diagnostics of a simulator.
 
     Parameters
@@ -47,7 +52,9 @@ def of_simulator(name, status, slack, recorders):
     )
 
 
-def of_recorder(name, stamp, path, messages, notes):
+def of_recorder(
+    name: str, stamp: Time, path: str, messages: int, notes: dict[str, str]
+) -> DiagnosticArray:
     """Diagnostics of a recorder.
 
     Parameters

@@ -6,6 +6,7 @@ import math
 import platform
 import sys
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -27,6 +28,7 @@ from tss_interfaces.msg import (
 )
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tss_ros import core
 from tss_ros.scenarios.scenario import read_text
 
 #: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
@@ -45,26 +47,26 @@ TENSION_SCALE = np.column_stack(
 )
 
 
-def stamp(time_ns):
+def stamp(time_ns: int) -> Time:
     """Simulation time [ns] as builtin_interfaces/Time."""
     return Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
 
 
-def clock(time_ns):
+def clock(time_ns: int) -> Clock:
     """The message of /clock."""
     return Clock(clock=stamp(time_ns))
 
 
 def system_description(
-    system,
-    spin_rate_ratio,
-    reference_radius_m,
-    options,
-    run=0,
-    first_step=0,
-    time_ns=0,
-    frame_id=FRAME_ID,
-):
+    system: core.System,
+    spin_rate_ratio: float,
+    reference_radius_m: np.ndarray,
+    options: dict[str, Any],
+    run: int = 0,
+    first_step: int = 0,
+    time_ns: int = 0,
+    frame_id: str = FRAME_ID,
+) -> SystemDescription:
     """What stays the same during a run.
 
     Parameters
@@ -115,25 +117,36 @@ def system_description(
     )
 
 
-def simulation_state(state):
+def simulation_state(state: int) -> SimulationState:
     """A state, by its number, as a message."""
     return SimulationState(state=int(state))
 
 
-def result(code, text):
+def result(code: int, text: str) -> Result:
     """What became of a request, as a message."""
     return Result(result=int(code), error_message=text)
 
 
-def simulation_event(time_ns, step, run, kind, text, frame_id):
+def simulation_event(
+    time_ns: int, step: int, run: int, kind: str, text: str, frame_id: str
+) -> SimulationEvent:
     """What was done to the motion from outside."""
     header = Header(stamp=stamp(time_ns), frame_id=frame_id)
     return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
 
 
 def simulation_status(
-    wall_ns, *, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
-):
+    wall_ns: int,
+    *,
+    state: int,
+    time_ns: int,
+    step: int,
+    run: int,
+    time_scale: float,
+    real_time_factor: float,
+    step_cost_s: float,
+    message: str,
+) -> SimulationStatus:
     """How the simulator is doing.
 
     Parameters
@@ -170,7 +183,9 @@ def simulation_status(
     )
 
 
-def transforms(system, time_ns, position_m, prefix=""):
+def transforms(
+    system: core.System, time_ns: int, position_m: np.ndarray, prefix: str = ""
+) -> list[TransformStamped]:
     """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
 
     Parameters
@@ -212,7 +227,9 @@ class StepMessages:
         Name of the orbit frame.
     """
 
-    def __init__(self, system, tension_n, frame_id=FRAME_ID):
+    def __init__(
+        self, system: core.System, tension_n: np.ndarray, frame_id: str = FRAME_ID
+    ) -> None:
         self._header = Header(frame_id=frame_id)
         self._bead_states = BeadStates(header=self._header, name=list(system.bead_name))
         self._tether_states = TetherStates(header=self._header, name=list(system.tether_name))
@@ -233,7 +250,14 @@ class StepMessages:
         self._make_markers(system)
         self._full_scale_n = 2.0 * max(tension_n.max(), sys.float_info.min)
 
-    def bead_states(self, step, time_ns, position_m, velocity_m_s, deviation):
+    def bead_states(
+        self,
+        step: int,
+        time_ns: int,
+        position_m: np.ndarray,
+        velocity_m_s: np.ndarray,
+        deviation: np.ndarray,
+    ) -> BeadStates:
         """BeadStates from arrays of shapes (n, 3), (n, 3) and (n,)."""
         message = self._bead_states
         self._header.stamp = stamp(time_ns)
@@ -243,7 +267,9 @@ class StepMessages:
         message.deviation = _doubles(deviation)
         return message
 
-    def tether_states(self, step, time_ns, length_m, tension_n, taut):
+    def tether_states(
+        self, step: int, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> TetherStates:
         """TetherStates from arrays of shape (m,)."""
         message = self._tether_states
         self._header.stamp = stamp(time_ns)
@@ -253,7 +279,9 @@ class StepMessages:
         message.taut = taut.tolist()
         return message
 
-    def tether_lengths(self, time_ns, length_m, tension_n):
+    def tether_lengths(
+        self, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray
+    ) -> JointState:
         """JointState: position is the length [m], effort the tension [N]."""
         message = self._tether_lengths
         self._header.stamp = stamp(time_ns)
@@ -261,7 +289,9 @@ class StepMessages:
         message.effort = _doubles(tension_n)
         return message
 
-    def bead_cloud(self, time_ns, position_m, velocity_m_s, deviation):
+    def bead_cloud(
+        self, time_ns: int, position_m: np.ndarray, velocity_m_s: np.ndarray, deviation: np.ndarray
+    ) -> PointCloud2:
         """PointCloud2 with `CLOUD_FIELDS` for every bead."""
         message = self._bead_cloud
         self._header.stamp = stamp(time_ns)
@@ -270,12 +300,16 @@ class StepMessages:
         message.data = array.array("B", points.tobytes())
         return message
 
-    def clearing_markers(self, time_ns, position_m, tension_n, taut):
+    def clearing_markers(
+        self, time_ns: int, position_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> MarkerArray:
         """The same as `markers`, after taking away what was drawn for another system."""
         markers = self.markers(time_ns, position_m, tension_n, taut).markers
         return MarkerArray(markers=[Marker(header=self._header, action=Marker.DELETEALL), *markers])
 
-    def markers(self, time_ns, position_m, tension_n, taut):
+    def markers(
+        self, time_ns: int, position_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> MarkerArray:
         """MarkerArray: satellites and beads as spheres, tethers as lines coloured by tension."""
         self._header.stamp = stamp(time_ns)
         for point, (x, y, z) in zip(self._points, position_m.tolist()):
@@ -318,7 +352,9 @@ class StepMessages:
         return marker
 
 
-def floquet_result(result, confirmation=None):
+def floquet_result(
+    result: core.FloquetResult, confirmation: core.Confirmation | None = None
+) -> FloquetResult:
     """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
     return FloquetResult(
         multiplier_real=_doubles(result.multiplier.real),
@@ -332,7 +368,9 @@ def floquet_result(result, confirmation=None):
     )
 
 
-def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
+def failed_floquet_result(
+    spin_rate_ratio: float, spin_rate_rad_s: float, message: str
+) -> FloquetResult:
     """The message for a rate that could not be computed: NaN wherever there is no number."""
     kinds = FloquetResult.get_fields_and_field_types()
     unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
@@ -340,7 +378,7 @@ def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
     return FloquetResult(message=message, **{**unknown, **known})
 
 
-def critical_rate(rate):
+def critical_rate(rate: core.CriticalRate) -> CriticalRate:
     """A core CriticalRate as a message; all fields have the same names."""
     return _same_fields(CriticalRate, rate)
 

@@ -18,6 +18,7 @@ any tether graph with `bodies` and `tethers`:
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -56,11 +57,11 @@ class Scenario:
     _tethers: tuple = field(default=(), repr=False)
 
     @property
-    def spin_rate_ratio(self):
+    def spin_rate_ratio(self) -> float:
         """w = omega / Omega of the scenario."""
         return self.parameters["spin_rate_ratio"]
 
-    def build(self, overrides=None) -> System:
+    def build(self, overrides: dict[str, Any] | None = None) -> System:
         """Build the system, with parameters replaced.
 
         Parameters
@@ -95,12 +96,12 @@ class Scenario:
         return system
 
 
-def shipped():
+def shipped() -> tuple[str, ...]:
     """Names of the scenarios that come with the package."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
 
 
-def read_text(name_or_path):
+def read_text(name_or_path: str | Path) -> str:
     """The text of a scenario file; parameters and errors as for `load`."""
     text = str(name_or_path)
     path = _FOLDER / f"{text}.yaml" if text in shipped() else Path(text)
@@ -116,7 +117,7 @@ def read_text(name_or_path):
         raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
 
 
-def load(name_or_path):
+def load(name_or_path: str | Path) -> Scenario:
     """Read and validate a scenario.
 
     Parameters

@@ -5,10 +5,15 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
 
+from numpy.typing import ArrayLike
+
 from tss_ros.core import IntegrationError, TssError
-from tss_ros.simulator.pacing import MAX_LAG_S, Meter
+from tss_ros.simulator.backpressure import FlowControl, Logger
+from tss_ros.simulator.pacing import MAX_LAG_S, Meter, Pace
+from tss_ros.simulator.simulation import Sample, Setup, Simulation
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000
@@ -36,7 +41,7 @@ class Code(enum.IntEnum):
 class Refused(TssError):
     """A request that is not carried out; `code` says of what kind the reason is."""
 
-    def __init__(self, code, text):
+    def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
         self.code = code
 
@@ -57,7 +62,7 @@ class Control:
         Called with step and Sample, when the next state is due.
     on_idle : callable
         Called while it waits, at least each IDLE_S; returns how soon [s] it wants the next call.
-    logger : rclpy logger
+    logger : Logger
     play : bool
         Whether to play or to be paused at the beginning.
     batch : bool
@@ -65,8 +70,19 @@ class Control:
     """
 
     def __init__(
-        self, simulation, pace, flow, wake, *, begin, publish, on_idle, logger, play, batch
-    ):
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        flow: FlowControl,
+        wake: threading.Event,
+        *,
+        begin: Callable[[], bool],
+        publish: Callable[[int, Sample], None],
+        on_idle: Callable[[], float],
+        logger: Logger,
+        play: bool,
+        batch: bool,
+    ) -> None:
         self.state = PlayState.PLAYING if play else PlayState.PAUSED
         self.failure = ""
         self.step, self.run = -1, 0
@@ -84,7 +100,7 @@ class Control:
 
     # --- for any thread
 
-    def request(self, work, *arguments):
+    def request(self, work: Callable[..., None], *arguments: object) -> Future:
         """Have `work(*arguments)` called in between two steps.
 
         Returns
@@ -101,14 +117,14 @@ class Control:
         self._wake.set()
         return answer
 
-    def stop(self):
+    def stop(self) -> None:
         """Make `run_until_end` return soon."""
         self._stopping = True
         self._wake.set()
 
     # --- what requests may ask for; in the simulation's thread only
 
-    def set_state(self, answer, target):
+    def set_state(self, answer: Future, target: PlayState) -> None:
         """Play, pause or quit."""
         if target == self.state:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, f"it is {target.name.lower()} already")
@@ -119,7 +135,7 @@ class Control:
         self._pace.restart()
         answer.set_result(None)
 
-    def take_steps(self, answer, steps):
+    def take_steps(self, answer: Future, steps: int) -> None:
         """Publish so many steps of a paused simulation."""
         if self.state != PlayState.PAUSED:
             raise Refused(
@@ -136,21 +152,21 @@ class Control:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
         self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
 
-    def stop_and_reset(self, answer, make_setup):
+    def stop_and_reset(self, answer: Future, make_setup: Callable[[], Setup]) -> None:
         """Begin anew, and stand still there."""
         if self.state == PlayState.STOPPED:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, "it is stopped already")
         self.reset(answer, make_setup, time=True)
         self.state = PlayState.STOPPED
 
-    def reset(self, answer, make_setup, time):
+    def reset(self, answer: Future, make_setup: Callable[[], Setup] | None, time: bool) -> None:
         """Begin the motion anew with `make_setup()`, unless None, and time at 0, if `time`."""
         self.simulation.reset(make_setup and make_setup(), time)
         if make_setup:
             self.failure = ""
         self._begin_run(answer)
 
-    def restore(self, answer, file):
+    def restore(self, answer: Future, file: str) -> None:
         """Continue from a snapshot."""
         try:
             self.simulation.restore(file)
@@ -159,20 +175,20 @@ class Control:
         self.failure = ""
         self._begin_run(answer)
 
-    def disturb(self, answer, offset_m, velocity_m_s):
+    def disturb(self, answer: Future, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Displace and push the beads."""
         self.simulation.disturb(offset_m, velocity_m_s)
         self.failure = ""
         self._changing.append(answer)
 
-    def save(self, answer, file):
+    def save(self, answer: Future, file: str) -> None:
         """Write a snapshot."""
         self.simulation.save(file)
         answer.set_result(None)
 
     # --- the simulation's thread
 
-    def run_until_end(self):
+    def run_until_end(self) -> None:
         """Publish states until the last, or until `stop`, and let recorders have them.
 
         Raises

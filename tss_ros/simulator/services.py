@@ -1,6 +1,7 @@
 """The simulator's services: what they check, ask of the simulation, and answer."""
 
 import traceback
+from collections.abc import Callable
 
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -17,7 +18,9 @@ from tss_interfaces.srv import (
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
-from tss_ros.simulator.control import Code, PlayState, Refused
+from tss_ros.ros.node import TssNode
+from tss_ros.simulator.control import Code, Control, PlayState, Refused
+from tss_ros.simulator.simulation import Setup
 
 #: Largest offset [m] and change of velocity [m/s] in a Disturb request.
 MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
@@ -38,7 +41,14 @@ class SimulationServices:
         Called before every answer.
     """
 
-    def __init__(self, node, control, make_setup, on_event, on_answer):
+    def __init__(
+        self,
+        node: TssNode,
+        control: Control,
+        make_setup: Callable[[], Setup],
+        on_event: Callable[[str, str], None],
+        on_answer: Callable[[], None],
+    ) -> None:
         self._node, self._control, self._make_setup = node, control, make_setup
         self._on_event, self._on_answer = on_event, on_answer
         # Requests that wait for the simulation hold up neither each other nor anything else.

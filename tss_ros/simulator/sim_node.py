@@ -3,10 +3,12 @@
 import math
 import threading
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
 from tss_ros.ros import diagnostics, messages, parameters
@@ -83,17 +85,17 @@ class SimNode(TssNode):
         self._events = []
         self._describe(0, 0)
 
-    def start(self):
+    def start(self) -> None:
         """Begin to simulate in a thread of its own."""
         self._thread = threading.Thread(target=self._simulate, daemon=True)
         self._thread.start()
 
-    def stop(self):
+    def stop(self) -> None:
         """End the simulation."""
         self._control.stop()
         self._thread.join(timeout=1.0)
 
-    def set_parameters_atomically(self, parameter_list):
+    def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> SetParametersResult:
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
@@ -274,6 +276,6 @@ def _system_of(options):
     return options["scenario"], {name: options[name] for name in overrides if name in options}
 
 
-def main():
+def main() -> None:
     """Executable `sim_node`."""
     run(SimNode)

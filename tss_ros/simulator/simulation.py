@@ -5,10 +5,12 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tss_ros.core import (
     Propagator,
@@ -57,7 +59,7 @@ class Setup:
     tension_n: np.ndarray
 
     @classmethod
-    def of(cls, options, system, spin_rate_ratio):
+    def of(cls, options: dict[str, Any], system: System, spin_rate_ratio: float) -> "Setup":
         """Find the initial configuration, Eqs. (50)-(54), and disturb it.
 
         Raises
@@ -76,23 +78,31 @@ class Setup:
         )
 
     @property
-    def publish_period_s(self):
+    def publish_period_s(self) -> float:
         """[s] simulated time between steps."""
         return self.options["publish_period_s"]
 
     @property
-    def turn_s(self):
+    def turn_s(self) -> float:
         """[s] duration of one spin turn."""
         return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
 
     @property
-    def identity(self):
+    def identity(self) -> dict[str, np.ndarray]:
         """Everything that must be equal for a snapshot to fit, by name."""
         names = [f.name for f in dataclasses.fields(System) if f.name != "layout_m"]
         values = {name: np.array(getattr(self.system, name)) for name in names}
         values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
         values["publish_period_s"] = np.array(self.publish_period_s)
         return values
+
+
+def last_index(duration_s: float, period_s: float) -> int:
+    """Index of the last state in a time [s], where state 0 is at its beginning.
+
+    A state that falls on its end counts, whatever rounding does.
+    """
+    return math.floor(duration_s / period_s * (1.0 + 1e-12))
 
 
 class Sample(NamedTuple):
@@ -245,39 +255,39 @@ class Simulation:
         Called, in any thread, when states have become ready.
     """
 
-    def __init__(self, setup, turns, on_ready):
+    def __init__(self, setup: Setup, turns: float, on_ready: Callable[[], None]) -> None:
         self._turns, self._on_ready = turns, on_ready
         self._trajectory = None
         self._begin(setup, setup.start, 0)
 
     @property
-    def ready(self):
+    def ready(self) -> bool:
         """Whether `take` returns at once."""
         return self._changed or self._trajectory.ready
 
     @property
-    def at_end(self):
+    def at_end(self) -> bool:
         """Whether `newest` is the last."""
         return not self._changed and self._trajectory.index >= self._trajectory.last
 
     @property
-    def next_time_s(self):
+    def next_time_s(self) -> float:
         """Simulation time [s] of the state that `take` returns next."""
         if self._changed:
             return self.newest.time_ns / 1e9
         return self._time_ns(self._trajectory.index + 1) / 1e9
 
     @property
-    def integration_s(self):
+    def integration_s(self) -> float:
         """[s] wall time that the integration of a state takes at present."""
         return self._trajectory.wall_s_per_step
 
     @property
-    def switches(self):
+    def switches(self) -> int:
         """Slack/taut switches since the last change of the motion, Eq. (5)."""
         return self._trajectory.switches
 
-    def take(self):
+    def take(self) -> Sample:
         """Go on to the next state and return it.
 
         Raises
@@ -292,7 +302,7 @@ class Simulation:
             self.newest = Sample(self._time_ns(self._trajectory.index), *state)
         return self.newest
 
-    def reset(self, setup=None, time=True):
+    def reset(self, setup: Setup | None = None, time: bool = True) -> None:
         """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
         if setup is not None:
             self._begin(setup, setup.start, 0 if time else self.newest.time_ns)
@@ -302,12 +312,12 @@ class Simulation:
             self._limit()
         self._changed = True
 
-    def disturb(self, offset_m, velocity_m_s):
+    def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         state = State(self.newest.position_m + offset_m, self.newest.velocity_m_s + velocity_m_s)
         self._begin(self.setup, state, self.newest.time_ns)
 
-    def save(self, file):
+    def save(self, file: str) -> None:
         """Write a snapshot.
 
         Parameters
@@ -323,7 +333,7 @@ class Simulation:
         place = {"index": self._trajectory.index, "base_ns": self._base_ns}
         snapshot.write(file, self.setup.identity, place, self._trajectory.checkpoint())
 
-    def restore(self, file):
+    def restore(self, file: str) -> None:
         """Continue from a snapshot, time included.
 
         Raises
@@ -348,7 +358,7 @@ class Simulation:
             raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
         self._continue(trajectory, place["base_ns"], state)
 
-    def close(self):
+    def close(self) -> None:
         """Give up what is being integrated."""
         self._trajectory.close()
 
@@ -367,9 +377,8 @@ class Simulation:
 
     def _limit(self):
         end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)
-        steps = (end_s - self._base_ns / 1e9) / self.setup.publish_period_s
-        # The allowance keeps a last step that falls on the end of the last turn.
-        self._trajectory.last = math.floor(steps * (1.0 + 1e-12))
+        duration_s = end_s - self._base_ns / 1e9
+        self._trajectory.last = last_index(duration_s, self.setup.publish_period_s)
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)

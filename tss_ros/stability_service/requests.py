@@ -5,9 +5,14 @@ the field, its value and what is allowed.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, TssError
+from tss_interfaces.action import Sweep
+from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+
+from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import parameters
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
@@ -73,7 +78,7 @@ class Plan:
     remarks: list[str] = field(default_factory=list)
 
 
-def check_method(request):
+def check_method(request: ComputeFloquet.Request | Sweep.Goal) -> str:
     """The method of a request, one of `METHODS`."""
     method = request.method or METHODS[0]
     if method not in METHODS:
@@ -81,7 +86,7 @@ def check_method(request):
     return method
 
 
-def check_floquet(request, system):
+def check_floquet(request: ComputeFloquet.Request, system: System) -> tuple[str, int]:
     """The method and the turns to be simulated of a ComputeFloquet request."""
     method = check_method(request)
     longest = min(MAX_TURNS, MAX_BEAD_TURNS // system.n)
@@ -99,7 +104,7 @@ def check_floquet(request, system):
     return method, turns
 
 
-def check_search(request, system):
+def check_search(request: FindCriticalRates.Request, system: System) -> tuple[float, float, float]:
     """The ends, the smaller first, and the tolerance of a FindCriticalRates request."""
     low, high, tolerance = _interval(request)
     widest = MAX_SEARCH / system.n**3
@@ -111,7 +116,9 @@ def check_search(request, system):
     return low, high, tolerance
 
 
-def plan_sweep(request, build, cancelled):
+def plan_sweep(
+    request: Sweep.Goal, build: Callable[[dict[str, Any]], System], cancelled: Callable[[], bool]
+) -> Plan:
     """Check the goal of a sweep and build its systems.
 
     Parameters
@@ -191,13 +198,13 @@ def plan_sweep(request, build, cancelled):
     return plan
 
 
-def left_out(low, high):
+def left_out(low: float, high: float) -> list[str]:
     """A remark if a search of this interval leaves out slow spin."""
     slow = low < SLOWEST and high > -SLOWEST
     return [f"rates slower than {SLOWEST:g} were left out"] if slow else []
 
 
-def useless(overrides):
+def useless(overrides: dict[str, Any]) -> list[str]:
     """A remark if an override has no effect."""
     if "spin_rate_ratio" not in overrides:
         return []

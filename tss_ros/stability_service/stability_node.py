@@ -84,7 +84,7 @@ class StabilityNode(TssNode):
         )
         self.get_logger().info(f"ready for requests about {self._scenario}")
 
-    def stop(self):
+    def stop(self) -> None:
         """Give up the request and the sweep in hand, if any."""
         self._stopping.set()
         # destroy_node leaves action servers, and they the node's shared memory.
@@ -313,6 +313,6 @@ def _failed(system, rate, error):
     return messages.failed_floquet_result(rate, rate * system.orbit_rate_rad_s, str(error))
 
 
-def main():
+def main() -> None:
     """Executable `stability_node`."""
     run(StabilityNode)

@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,14 @@ MAX_LISTED = 1000
 PROGRESS_S = 0.2
 
 
-def compute(question, store, workers=None, scheduler="", on_job_done=None, cancelled=None):
+def compute(
+    question: Question,
+    store: Store,
+    workers: int | None = None,
+    scheduler: str = "",
+    on_job_done: Callable[[], object] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> None:
     """Do and record the jobs that are missing from a store.
 
     Parameters
@@ -62,7 +70,7 @@ def compute(question, store, workers=None, scheduler="", on_job_done=None, cance
                 on_job_done()
 
 
-def table(question, store):
+def table(question: Question, store: Store) -> str:
     """What was found, as lines of text; of more than `MAX_LISTED` jobs, only how often.
 
     Parameters
@@ -158,7 +166,7 @@ def _points(question, store, *columns):
     return found.filter(pa.compute.field("method") == question.methods[0])
 
 
-def draw(question, store):
+def draw(question: Question, store: Store) -> plots.Figure:
     """The map of verdicts and critical rates.
 
     Parameters
@@ -189,7 +197,7 @@ def draw(question, store):
     )
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `sweep`.
 
     Returns
