@@ -17,7 +17,7 @@ def stability(
     verdict: Sequence[str],
     method: str = "monodromy",
 ) -> Figure:
-    """Largest Floquet multiplier modulus against spin rate, the verdict told by the marker.
+    """Largest Floquet multiplier modulus against spin rate; markers show the verdict.
 
     Parameters
     ----------

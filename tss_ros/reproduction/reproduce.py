@@ -135,7 +135,7 @@ class Workshop:
         return self.result("damping")["three_star"]["damping"]
 
     def make(self, items: Sequence[str]) -> None:
-        """Make every item that is not done, in order, and tell how far things are."""
+        """Make every item that is not done, in order, and print how far things are."""
         begun = time.monotonic()
         for count, item in enumerate(items, 1):
             if self._caught:

@@ -101,8 +101,8 @@ class TssNode(Node):
 def run(node_class: Callable[[], TssNode]) -> NoReturn:
     """Run a node until it finishes or is told to stop, and end the process.
 
-    The exit status is 0 when the node finished or got SIGINT or SIGTERM. What a user can put right
-    is told in one line, with status 1.
+    The exit status is 0 when the node finished or got SIGINT or SIGTERM. An error that a user can
+    put right is printed in one line, and the exit status is 1.
 
     Parameters
     ----------
@@ -137,13 +137,13 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
         if rclpy.ok() or not told_to_stop.wait(HANDLER_DELAY_S):
             if not isinstance(error, USER_ERRORS):
                 raise
-            status = _tell(name, error)
+            status = _print_error(name, error)
     finally:
         if node is not None:
             try:
                 node.stop()
             except USER_ERRORS as error:
-                status = _tell(name, error)
+                status = _print_error(name, error)
             node.destroy_node()
         rclpy.try_shutdown()
     # Neither a thread in a long computation, which nothing can interrupt, nor the seconds that the
@@ -153,7 +153,7 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
     os._exit(status)
 
 
-def _tell(name, error):
+def _print_error(name, error):
     """Say in one line what is wrong, without rcl's source positions, and return the exit status."""
     text = " ".join(str(error).split()).split(", at /")[0]
     print(f"{name}: {text.removeprefix('failed to initialize rcl: ')}", file=sys.stderr)

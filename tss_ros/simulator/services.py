@@ -36,7 +36,7 @@ class SimulationServices:
     make_setup : callable
         Makes the Setup that the parameters describe.
     on_event : callable
-        Told kind and text of every change of the motion, in the simulation's thread.
+        Called with kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
         Called before every answer.
     """

@@ -28,7 +28,7 @@ from tss_ros.core import (
 from tss_ros.ros import messages, parameters
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
-from tss_ros.stability_service import requests as requests
+from tss_ros.stability_service import requests
 from tss_ros.sweeps import cluster
 
 #: Feedback kept for slow clients.

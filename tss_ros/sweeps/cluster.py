@@ -109,7 +109,7 @@ def _connected(scheduler):
         raise TssError(
             "a Dask cluster needs the package distributed; get it with: pip install distributed"
         ) from None
-    # A scheduler that is lost is told of below, in one line.
+    # A lost scheduler raises a TssError below; the client's own log would repeat it.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = Client(check_address(scheduler), timeout=CONNECT_S, set_as_default=False)
