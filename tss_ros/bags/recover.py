@@ -17,6 +17,7 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
+from tss_ros.bags.directory import lock, sync_directory
 from tss_ros.bags.reader import DAMAGE, bag_files, indexed_reader
 from tss_ros.bags.writer import (
     CHUNK_BYTES,
@@ -24,8 +25,6 @@ from tss_ros.bags.writer import (
     NOTES,
     BagFile,
     finish,
-    lock,
-    sync_directory,
     write_metadata,
 )
 from tss_ros.core import TssError

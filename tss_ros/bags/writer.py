@@ -5,8 +5,6 @@ What a file holds is on its way to the disk at each `flush`, and `tss_ros.bags.r
 whole bag of one whose recorder was killed.
 """
 
-import contextlib
-import fcntl
 import os
 import time
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ from typing import Any, BinaryIO
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from tss_ros.bags.directory import lock, sync_directory
 from tss_ros.core import TssError
 
 #: Small chunks and frequent flushes bound what a killed recorder loses.
@@ -154,6 +153,16 @@ class BagWriter:
         self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int
     ) -> None:
         """Write one serialised message of a topic announced before. After a failure, do nothing.
+
+        Parameters
+        ----------
+        channel : int
+            The topic's number, from `add_topic`.
+        data : bytes
+        log_time_ns, publish_time_ns : int
+            Simulation time and wall time [ns].
+        sequence : int
+            Number of the message in its topic.
 
         Raises
         ------
@@ -318,35 +327,6 @@ def write_metadata(
         os.fsync(stream.fileno())
     fresh.replace(directory / "metadata.yaml")
     sync_directory(directory)
-
-
-def lock(directory: str | Path) -> int:
-    """Mark a bag as being written, until the returned file descriptor is closed.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process has marked it.
-    """
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise
-    except OSError:  # a file system without locks
-        pass
-    return descriptor
-
-
-def sync_directory(directory: str | Path) -> None:
-    """Make new and renamed files of a directory outlive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        with contextlib.suppress(OSError):  # some file systems do not sync directories
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _information(files, topics, ros_distro, notes):

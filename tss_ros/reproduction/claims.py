@@ -163,7 +163,25 @@ def boundaries(
     cancelled: Callable[[], bool],
     tolerance: float = 2e-3,
 ) -> list[list]:
-    """Critical rates by the true monodromy, as [rate, cause, stable side]."""
+    """Critical rates by the true monodromy.
+
+    Parameters
+    ----------
+    name : str
+        Of a scenario.
+    damping : float
+        C [N s/m].
+    ratio_from, ratio_to : float
+        Ends of the interval of rates.
+    cancelled : callable
+    tolerance : float
+        Largest uncertainty of a rate.
+
+    Returns
+    -------
+    list of [float, str, int]
+        Rate, cause, and 1 or -1 for the stable side.
+    """
     rates = find_critical_rates(
         system(name, damping), ratio_from, ratio_to, tolerance, 0.1, cancelled=cancelled
     )
@@ -206,7 +224,22 @@ def simulated_edges(
 def bisect(
     good: Callable[[float], bool], slow: float = -1.9, fast: float = -3.4, half_width: float = 0.005
 ) -> float | None:
-    """The rate between `slow`, where `good` fails, and `fast`, where it holds; else None."""
+    """Bisect for the rate from which on a condition holds.
+
+    Parameters
+    ----------
+    good : callable
+        The condition, given a rate.
+    slow, fast : float
+        Rates at which it should fail and hold.
+    half_width : float
+        Of the interval that is left.
+
+    Returns
+    -------
+    float or None
+        Its middle; None if the condition holds at `slow` or fails at `fast`.
+    """
     if good(slow) or not good(fast):
         return None
     while slow - fast > 2 * half_width:

@@ -46,9 +46,23 @@ class _Constants(NamedTuple):
 def held_edges(
     names: Iterable[str], damping: float, tolerances: Iterable[float], cancelled: Callable[[], bool]
 ) -> list[list]:
-    """Rate at which a disturbed motion is first held, by scenario and relative tolerance.
+    """Rates at which a disturbed motion is first held, with a half-width of 0.025.
 
-    Half-width 0.025; None where no rate between 2.0 and 2.9 separates lost from held.
+    Parameters
+    ----------
+    names : iterable of str
+        Scenarios.
+    damping : float
+        C [N s/m].
+    tolerances : iterable of float
+        Relative tolerances of the integrator.
+    cancelled : callable
+
+    Returns
+    -------
+    list of [str, float, float or None]
+        Scenario, tolerance and rate; None where no rate between 2.0 and 2.9 separates lost from
+        held.
     """
     rows = []
     for name in names:

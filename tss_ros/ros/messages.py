@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, TransformStamped
+from geometry_msgs.msg import Point
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
@@ -31,8 +31,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tss_ros import core
 from tss_ros.scenarios.scenario import read_text
 
-#: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
-FRAME_ID, INERTIAL_FRAME_ID = "orbit", "inertial"
+#: Name of the orbit frame.
+FRAME_ID = "orbit"
 #: Fields of the bead cloud, all float32.
 CLOUD_FIELDS = ("x", "y", "z", "deviation", "speed_m_s")
 #: Sizes of what viewers draw, over the mean tether length between two satellites.
@@ -130,7 +130,25 @@ def result(code: int, text: str) -> Result:
 def simulation_event(
     time_ns: int, step: int, run: int, kind: str, text: str, frame_id: str
 ) -> SimulationEvent:
-    """What was done to the motion from outside."""
+    """What was done to the motion from outside.
+
+    Parameters
+    ----------
+    time_ns : int
+        Simulation time [ns] of the step.
+    step, run : int
+        Of the first state after it.
+    kind : str
+        "reset", "restore" or "disturb".
+    text : str
+        What was done, in words.
+    frame_id : str
+        Name of the orbit frame.
+
+    Returns
+    -------
+    SimulationEvent
+    """
     header = Header(stamp=stamp(time_ns), frame_id=frame_id)
     return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
 
@@ -183,38 +201,6 @@ def simulation_status(
     )
 
 
-def transforms(
-    system: core.System, time_ns: int, position_m: np.ndarray, prefix: str = ""
-) -> list[TransformStamped]:
-    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
-
-    Parameters
-    ----------
-    system : System
-    time_ns : int
-    position_m : ndarray, shape (n, 3)
-    prefix : str
-
-    Returns
-    -------
-    list of geometry_msgs.msg.TransformStamped
-        n + 1 of them. The orbit frame turns about z with the orbital rate, y pointing away from the
-        Earth; beads have no attitude.
-    """
-    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
-    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
-    names = [FRAME_ID, *system.bead_name]
-    header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
-    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
-    frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
-    frames[0].transform.rotation.z = math.sin(angle / 2.0)
-    frames[0].transform.rotation.w = math.cos(angle / 2.0)
-    for frame, (x, y, z) in zip(frames, [centre_m.tolist(), *position_m.tolist()]):
-        place = frame.transform.translation
-        place.x, place.y, place.z = x, y, z
-    return frames
-
-
 class StepMessages:
     """The messages of one step, made once and refilled: to build them anew costs ten times as much.
 
@@ -258,7 +244,7 @@ class StepMessages:
         velocity_m_s: np.ndarray,
         deviation: np.ndarray,
     ) -> BeadStates:
-        """BeadStates from arrays of shapes (n, 3), (n, 3) and (n,)."""
+        """BeadStates from positions [m] and velocities [m/s], (n, 3), and deviations [-], (n,)."""
         message = self._bead_states
         self._header.stamp = stamp(time_ns)
         message.step = step
@@ -270,7 +256,7 @@ class StepMessages:
     def tether_states(
         self, step: int, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
     ) -> TetherStates:
-        """TetherStates from arrays of shape (m,)."""
+        """TetherStates from lengths [m], tensions [N] and whether taut, each of shape (m,)."""
         message = self._tether_states
         self._header.stamp = stamp(time_ns)
         message.step = step

@@ -99,7 +99,7 @@ class TssNode(Node):
 
 
 def run(node_class: Callable[[], TssNode]) -> NoReturn:
-    """Run a node until it finishes or is told to stop, and end the process.
+    """Run a node until it finishes or a signal stops it, and end the process.
 
     The exit status is 0 when the node finished or got SIGINT or SIGTERM. An error that a user can
     put right is printed in one line, and the exit status is 1.

@@ -168,7 +168,23 @@ class Watch:
 def watched_nodes(
     name: str, log_directory: Path, caught: list[int], show: Callable[[Watch, int], None]
 ) -> Iterator[tuple[Nodes, Node, Watch]]:
-    """Nodes, a ROS node `name` in this process, and a `Watch` over them, for a `with` block."""
+    """Start nodes and watch over them in a `with` block, at whose end all are gone.
+
+    Parameters
+    ----------
+    name : str
+        Of this process's own ROS node.
+    log_directory : Path
+        Takes what the nodes print.
+    caught : list of int
+        Signals that came in.
+    show : callable
+        As for `Watch`.
+
+    Yields
+    ------
+    tuple of Nodes, rclpy.node.Node and Watch
+    """
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         ros_node = rclpy.create_node(name)

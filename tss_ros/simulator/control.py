@@ -160,7 +160,17 @@ class Control:
         self.state = PlayState.STOPPED
 
     def reset(self, answer: Future, make_setup: Callable[[], Setup] | None, time: bool) -> None:
-        """Begin the motion anew with `make_setup()`, unless None, and time at 0, if `time`."""
+        """Begin a new run.
+
+        Parameters
+        ----------
+        answer : Future
+            Of the request.
+        make_setup : callable or None
+            Makes the Setup that the motion begins anew with; None leaves the motion as it is.
+        time : bool
+            Whether time begins at 0.
+        """
         self.simulation.reset(make_setup and make_setup(), time)
         if make_setup:
             self.failure = ""
@@ -176,7 +186,7 @@ class Control:
         self._begin_run(answer)
 
     def disturb(self, answer: Future, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
-        """Displace and push the beads."""
+        """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         self.simulation.disturb(offset_m, velocity_m_s)
         self.failure = ""
         self._changing.append(answer)

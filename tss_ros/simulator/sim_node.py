@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
-from tss_ros.ros import diagnostics, messages, parameters
+from tss_ros.ros import diagnostics, frames, messages, parameters
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, read_topics
 from tss_ros.simulator.backpressure import FlowControl
@@ -205,14 +205,14 @@ class SimNode(TssNode):
         if "/tf" not in self._publisher or time.monotonic() < self._tf_due:
             return
         self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
-        frames = messages.transforms(
+        transforms = frames.transforms(
             self._control.simulation.setup.system,
             sample.time_ns,
             sample.position_m,
             self._options["frame_prefix"],
         )
         publisher = self._publisher["/tf"]
-        publisher.publish(publisher.msg_type(transforms=frames))
+        publisher.publish(publisher.msg_type(transforms=transforms))
 
     def _keep_clock(self):
         """Publish /clock if it may and should be; return how soon [s] to look again."""

@@ -62,6 +62,17 @@ class Setup:
     def of(cls, options: dict[str, Any], system: System, spin_rate_ratio: float) -> "Setup":
         """Find the initial configuration, Eqs. (50)-(54), and disturb it.
 
+        Parameters
+        ----------
+        options : dict
+            The simulator's parameters, by name.
+        system : System
+        spin_rate_ratio : float
+
+        Returns
+        -------
+        Setup
+
         Raises
         ------
         TssError

@@ -1,10 +1,10 @@
-"""Messages say what the arrays say that they are made from."""
+"""Frames: those on /tf stand where the geometry of the orbit puts them."""
 
 import numpy as np
 from ros_harness import time_ns
 
 from tss_ros.core import ring
-from tss_ros.ros import messages
+from tss_ros.ros import frames
 
 
 def test_frames_turn_with_the_orbit():
@@ -17,7 +17,7 @@ def test_frames_turn_with_the_orbit():
         # A quarter of an orbit later x points where y did: up has become -x.
         (quarter_ns, [-7378e3, 0.0, 0.0], [-20.0, 100.0, 3.0]),
     ):
-        orbit, *beads = messages.transforms(system, now_ns, bead_m, "left/")
+        orbit, *beads = frames.transforms(system, now_ns, bead_m, "left/")
         assert (orbit.header.frame_id, orbit.child_frame_id) == ("left/inertial", "left/orbit")
         move, turn = orbit.transform.translation, orbit.transform.rotation
         assert time_ns(orbit.header.stamp) == now_ns
