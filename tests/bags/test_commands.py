@@ -1,17 +1,14 @@
-"""What the commands make of a bag: text, figures, tables, playback, and the same run once more."""
+"""What the commands make of a bag: text, figures, tables, and the same run once more."""
 
 import csv
 import dataclasses
-import time
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 import ros_harness
-from ros_harness import START_S, Process
-from rosgraph_msgs.msg import Clock
-from std_srvs.srv import SetBool
-from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription
+from ros_harness import START_S
+from tss_interfaces.msg import FloquetResult
 
 from tss_ros.bags import commands
 from tss_ros.bags.recording import Recording, read_bag
@@ -175,40 +172,3 @@ def energy(system, t_s, position_m, velocity_m_s, length_m, taut):
         length_m=length_m,
         taut=taut,
     ).energy_j
-
-
-def test_playback_pauses_keeps_pace_and_repeats_every_message(run, tmp_path):
-    folder, recording = run
-    rate, begin_s = 200.0, recording.t_s[20]
-    with ros_harness.client_node() as (node, spin_until):
-        got, described, clocks = [], [], []
-        topics = read_topics()
-        for name, kind, act in (
-            ("bead_states", BeadStates, lambda m: got.append((time.monotonic(), m))),
-            ("system_description", SystemDescription, described.append),
-        ):
-            node.create_subscription(kind, name, act, topics[name].qos)
-        node.create_subscription(Clock, "/clock", clocks.append, 10)
-        arguments = [str(folder / "bag"), "--rate", str(rate), "--start", str(begin_s), "--paused"]
-        player = Process("play", tmp_path, arguments)
-        try:
-            client = node.create_client(SetBool, "/play/pause")
-            spin_until(client.service_is_ready, START_S, "the player")
-            spin_until(lambda: node.count_publishers("/bead_states"), 10, "its topics")
-            begun = time.monotonic()
-            spin_until(lambda: time.monotonic() > begun + 1.5, 5, "its patience")
-            assert got == []
-            answer = client.call_async(SetBool.Request(data=False))
-            spin_until(answer.done, 10, "an answer")
-            spin_until(lambda: not player.running, 30, "the end")
-            last = recording.step[-1]
-            spin_until(lambda: got and got[-1][1].step == last, 10, "the last step")
-        finally:
-            player.kill()
-    assert player.wait(0) == 0, player.stderr
-    assert [message.step for _, message in got] == recording.step[20:].tolist()
-    sent = np.array([message.position_m for _, message in got])
-    np.testing.assert_array_equal(sent.reshape(len(got), -1, 3), recording.position_m[20:])
-    assert described[0].scenario_yaml == SCENARIO and clocks
-    wall_s = got[-1][0] - got[0][0]
-    assert wall_s == pytest.approx(np.ptp(recording.t_s[20:]) / rate, rel=0.2)

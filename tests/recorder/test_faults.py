@@ -1,9 +1,8 @@
-"""What recordings bear: killed recorders, cut and damaged files, full and read-only disks."""
+"""What recorders bear: kills, full and read-only disks, and messages that are lost."""
 
 import contextlib
 import itertools
 import os
-import random
 import re
 import shutil
 import signal
@@ -16,24 +15,14 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from rclpy.qos import QoSProfile
-from rosbags.highlevel import AnyReader
-from small_bag import Bag
+from recorded import recorded_steps, serialised_messages
 from tss_interfaces.msg import BeadStates, RecorderStatus
 
 from tss_ros.bags import recover
-from tss_ros.core import TssError
 
 #: Wall time [s] that a killed recorder may lose.
 ALLOWED_LOSS_S = 0.5
-KILLS, CUTS = 3, 60
-
-
-def messages(bag):
-    """(topic, sequence number, data) of every message of a bag, by an independent reader."""
-    with AnyReader([bag]) as reader:
-        return [
-            (connection.topic, time_ns, data) for connection, time_ns, data in reader.messages()
-        ]
+KILLS = 3
 
 
 # --- a recorder that is killed
@@ -84,10 +73,7 @@ def test_a_killed_recorder_loses_less_than_half_a_second(start, tmp_path, capsys
             f"{bag.name}_0.mcap.damaged",
             "metadata.yaml",
         ]
-        with AnyReader([bag]) as reader:
-            beads = [c for c in reader.connections if c.topic == "/bead_states"]
-            found = reader.messages(connections=beads)
-            steps = [reader.deserialize(data, c.msgtype).step for c, _, data in found]
+        steps = recorded_steps(bag, "/bead_states")
         gaps = [(one, two) for one, two in itertools.pairwise(steps) if two != one + 1]
         assert not gaps and len(steps) > 50, f"{gaps} of {len(steps)}: {stderr}{simulator.stderr}"
         lost = [step for step, at in arrived.items() if steps[-1] < step and at < killed]
@@ -95,117 +81,6 @@ def test_a_killed_recorder_loses_less_than_half_a_second(start, tmp_path, capsys
         with capsys.disabled():
             print(f"\nkill -9: {len(steps)} steps recovered, {len(lost)} ({lost_s:.2f} s) lost")
         assert lost_s < ALLOWED_LOSS_S
-
-
-# --- files that are cut or damaged
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A bag's file, and for each of its chunks where it ends and the messages up to there."""
-    bag = Bag(tmp_path_factory.mktemp("whole") / "bag")
-    bag.describe()
-    for number in range(3000):
-        bag.step(number)
-        if number % 50 == 0:
-            bag.writer.flush()
-    bag.writer.close()
-    with bag.writer.path.open("rb") as stream:
-        reader = make_reader(stream)
-        summary, count, ends = reader.get_summary(), 0, [(0, 0)]
-        for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
-            count += _count(stream, index)
-            ends.append((index.chunk_start_offset + index.chunk_length, count))
-    return bag.writer.path.read_bytes(), ends, messages(bag.writer.directory)
-
-
-def _count(stream, index):
-    """Messages of a chunk, from the lengths of its message indexes: 16 bytes each."""
-    count = 0
-    for place in index.message_index_offsets.values():
-        stream.seek(place + 1 + 8 + 2)
-        count += int.from_bytes(stream.read(4), "little") // 16
-    return count
-
-
-def damaged(folder, name, content):
-    bag = folder / name
-    bag.mkdir()
-    (bag / f"{name}_0.mcap").write_bytes(content)
-    return bag
-
-
-def test_of_a_cut_file_every_whole_chunk_is_recovered(whole, tmp_path, capsys):
-    content, ends, written = whole
-    places = random.Random(1).sample(range(len(content)), CUTS)
-    lost = []
-    for cut in (0, 1, 8, len(content) - 1, *places):
-        # What the file system had not yet put on the disk when power was lost reads as zeros.
-        for kind, tail in (("cut", b""), ("zeros", bytes(min(50_000, len(content) - cut)))):
-            bag = damaged(tmp_path, f"{kind}_{cut}", content[:cut] + tail)
-            (account,) = recover.recover(bag)
-            expected = max(count for end, count in ends if end <= cut)
-            assert f": {expected} messages recovered" in account
-            assert messages(bag) == written[:expected]
-            assert (bag / f"{bag.name}_0.mcap.damaged").read_bytes() == content[:cut] + tail
-            lost.append(len(written) - expected)
-    with capsys.disabled():
-        print(f"\ncut: {len(lost)} files of {len(written)} messages, {sum(lost)} lost in all")
-
-
-def test_what_lies_behind_damage_is_recovered_too(whole, tmp_path):
-    """Holes anywhere, and in the head of a chunk, which then reads like an empty one."""
-    content, ends, written = whole
-    head = ends[2][0] + content[ends[2][0] :].index(b"lz4") - 41
-    heads = range(head, head + 48, 3)
-    places = [random.Random(seed).randrange(ends[1][0], ends[-2][0]) for seed in range(10)]
-    for at in [*places, *heads]:
-        bag = damaged(tmp_path, f"hole_{at}", content[:at] + bytes(512) + content[at + 512 :])
-        recover.recover(bag)
-        # One chunk is gone, or two that the hole touches both.
-        before = max(count for end, count in ends if end <= at)
-        after = min(count for end, count in ends if end >= at + 512)
-        found = messages(bag)
-        assert found[:before] == written[:before] and len(found) > before
-        kept_behind = len(written) - after
-        assert found[len(found) - kept_behind :] == written[after:]
-        shutil.rmtree(bag)
-
-
-def test_recovery_that_is_stopped_can_be_repeated(whole, tmp_path):
-    content, _, written = whole
-    bag = damaged(tmp_path, "bag", content[:-100])
-    expected = len(written)
-    # As if it had ended between putting the damaged file aside and putting the new one in place.
-    (bag / "bag_0.mcap").rename(bag / "bag_0.mcap.damaged")
-    (bag / "bag_0.mcap.recovering").write_bytes(content[:50])
-    assert recover.find_cut(tmp_path) == [bag]
-    recover.recover(bag)
-    assert messages(bag) == written and len(written) == expected
-    assert recover.find_cut(tmp_path) == []
-
-
-def test_metadata_alone_that_is_missing_is_made(whole, tmp_path):
-    content, _, written = whole
-    bag = damaged(tmp_path, "bag", content)
-    (account,) = recover.recover(bag)
-    assert "metadata.yaml was missing; no message was lost" in account
-    assert messages(bag) == written and not list(bag.glob("*.damaged"))
-
-
-def test_a_bag_in_use_and_what_is_no_bag_are_left_alone(tmp_path):
-    bag = Bag(tmp_path / "bag")
-    bag.describe()
-    bag.writer.flush()
-    assert recover.find_cut(tmp_path) == []
-    with pytest.raises(TssError, match="bag' is being recorded"):
-        recover.recover(tmp_path / "bag")
-    bag.writer.close()
-    with pytest.raises(TssError, match="missing' is not a bag directory"):
-        recover.recover(tmp_path / "missing")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(TssError, match="empty' holds no .mcap file"):
-        recover.recover(tmp_path / "empty")
 
 
 # --- disks
@@ -232,7 +107,7 @@ def test_a_recording_ends_complete_before_the_disk_is_full(start, tmp_path, caps
         assert logger.wait(ros_harness.START_S) == 1
         assert "the disk is nearly full, so the recording ends here, complete" in logger.stderr
         count = int(re.search(r"(\d+) messages, 0 lost", logger.stdout)[1])
-        assert len(messages(disk / "bag")) == count > 5000
+        assert len(serialised_messages(disk / "bag")) == count > 5000
         assert simulator.stop() == 0
         with capsys.disabled():
             print(f"\nfull disk: {count} messages written, {count} readable")
@@ -282,7 +157,7 @@ def test_splitting_gives_whole_files_and_one_bag(start, tmp_path):
     with contextlib.ExitStack() as stack:
         readers = [make_reader(stack.enter_context(path.open("rb"))) for path in files]
         assert sum(r.get_summary().statistics.message_count for r in readers) == count
-    assert len(messages(tmp_path / "bag")) == count == 5 * (2 * 2522 + 2) + 1
+    assert len(serialised_messages(tmp_path / "bag")) == count == 5 * (2 * 2522 + 2) + 1
 
 
 # --- messages that the middleware drops
@@ -309,7 +184,7 @@ def test_losses_are_counted_wherever_one_looks(start, tmp_path):
         told = f"{reports[-1].lost} messages were lost"
         spin_until(lambda: diagnostics and diagnostics[-1].status[0].message == told, 10, told)
     assert logger.stop() == 0
-    recorded = len(messages(tmp_path / "bag"))
+    recorded = len(serialised_messages(tmp_path / "bag"))
     lost = 3002 - recorded
     assert lost > 0 and reports[-1].lost == lost
     assert f"{recorded} messages, {lost} lost" in logger.stdout

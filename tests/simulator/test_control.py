@@ -17,8 +17,7 @@ from tss_interfaces.srv import (
 )
 
 from tss_ros.core import Propagator, State, ring
-from tss_ros.simulator.control import Code
-from tss_ros.simulator.control import State as ControlState
+from tss_ros.simulator.control import Code, PlayState
 
 TIME, STATE = ResetSimulation.Request.SCOPE_TIME, ResetSimulation.Request.SCOPE_STATE
 PERIOD_S = 2.0
@@ -76,7 +75,7 @@ def test_codes_and_states_are_those_of_the_messages():
     for code in Code:
         owner = Result if code < 100 else SetSimulationState.Response
         assert getattr(owner, f"RESULT_{code.name}" if code < 100 else code.name) == code
-    for state in ControlState:
+    for state in PlayState:
         assert getattr(SimulationState, f"STATE_{state.name}") == state
 
 
@@ -325,8 +324,8 @@ def test_snapshots_that_do_not_fit_are_refused(paused):
         assert "cannot be read" in paused.refused(RestoreSnapshot, file=f"{name}.npz")[1]
     arrays = dict(np.load(paused.directory / "a.npz"))
     for name, value, expected in (
-        ("motion_r", np.full_like(arrays["motion_r"], np.nan), "damaged"),
-        ("motion_v", arrays["motion_v"][:1], "damaged"),
+        ("integrator_position_m", np.full((3, 3), np.nan), "damaged"),
+        ("integrator_velocity_m_s", arrays["integrator_velocity_m_s"][:1], "damaged"),
         ("place_index", np.array(10**6), "damaged"),
         ("place_base_ns", np.array(2**62), "allowed: 0 to 2^31"),
         ("setup_mass_kg", 2 * arrays["setup_mass_kg"], "another mass_kg"),

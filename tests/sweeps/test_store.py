@@ -167,7 +167,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(tmp_path, finished, dask):
             victim.send(signal.SIGKILL)
 
     with Store(tmp_path, question()) as store:
-        compute(question(), store, scheduler=dask.address, told=on_job)
+        compute(question(), store, scheduler=dask.address, on_job_done=on_job)
     assert victim.wait(10) == -signal.SIGKILL
     assert len(told) == TOTAL and manifest(tmp_path).keys() == set(range(TOTAL))
     assert files(tmp_path) == files(finished)
@@ -262,7 +262,7 @@ def test_a_scheduler_that_is_lost_is_named_and_what_is_done_is_kept(tmp_path, mo
             Store(tmp_path / "kept", question()) as store,
             pytest.raises(TssError, match=f"scheduler at {own.address} is lost"),
         ):
-            compute(question(), store, scheduler=own.address, told=lambda: next(told, int)())
+            compute(question(), store, scheduler=own.address, on_job_done=lambda: next(told, int)())
         assert 1 <= len(manifest(tmp_path / "kept")) < TOTAL
         with pytest.raises(TssError, match=f"no Dask scheduler answers at {own.address}"):
             list(cluster.sweep([], own.address))

@@ -18,13 +18,13 @@ _NUMBERS = {
 _HEADER = (("int32", "stamp.sec"), ("uint32", "stamp.nanosec"), ("string", "frame_id"))
 
 
-def stamp_ns(data, offset=4):
+def stamp_ns(data: bytes, offset: int = 4) -> int:
     """Simulation time [ns] in the header stamp at `offset` of a message; never negative."""
     seconds, nanoseconds = struct.unpack_from(_byte_order(data) + "iI", data, offset)
     return max(0, seconds * 10**9 + nanoseconds)
 
 
-def step_number(data):
+def step_number(data: bytes) -> int:
     """The field `step` of serialised BeadStates or TetherStates: the uint64 after the header."""
     order = _byte_order(data)
     (frame_id_bytes,) = struct.unpack_from(order + "I", data, 12)
@@ -48,7 +48,7 @@ class Layout:
         If the type has other fields, or if the message does not fit the type.
     """
 
-    def __init__(self, definition, data):
+    def __init__(self, definition: str, data: bytes) -> None:
         self._order, self._at = _byte_order(data), 4
         self._names, self._formats, self._offsets = [], [], []
         self._shape = np.zeros(len(data), dtype=bool)  # the bytes of texts and lengths
@@ -69,13 +69,13 @@ class Layout:
             }
         )
 
-    def fits(self, rows):
+    def fits(self, rows: np.ndarray) -> np.ndarray:
         """Which messages of `rows`, (k, bytes), have these texts and lengths; (k,) of bool."""
         if rows.shape[1] < self._first.size:
             return np.zeros(len(rows), dtype=bool)
         return (rows[:, self._shape] == self._first[self._shape]).all(axis=1)
 
-    def numbers(self, rows):
+    def numbers(self, rows: np.ndarray) -> np.ndarray:
         """The numbers of messages that fit: a structured array, shape (k,)."""
         return np.ascontiguousarray(rows[:, : self._first.size]).view(self._dtype)[:, 0]
 

@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,30 +13,30 @@ import pyarrow.parquet
 import yaml
 
 from tss_ros import plots
-from tss_ros.bags.recording import read_bag
+from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import TssError
 from tss_ros.scenarios.scenario import read_text
 
 
-def summary(argv=None):
+def summary(argv: Sequence[str] | None = None) -> int:
     """Executable `summary`; as all here: exit status 0, or 1 with one line why."""
     return _run(
         "summary", "Say what happened in a recording.", argv, lambda r, _: print(describe(r))
     )
 
 
-def plot(argv=None):
+def plot(argv: Sequence[str] | None = None) -> int:
     """Executable `plot`."""
     return _run("plot", "Draw the standard figures of a recording.", argv, _plot, _plot_options)
 
 
-def export(argv=None):
+def export(argv: Sequence[str] | None = None) -> int:
     """Executable `export`."""
     text = "Write a recording as tables, or what it takes to simulate it again."
     return _run("export", text, argv, _export, _export_options)
 
 
-def describe(recording):
+def describe(recording: Recording) -> str:
     """What happened in a run, in a screenful.
 
     Parameters
@@ -161,7 +162,7 @@ def _export(recording, options):
         print(path)
 
 
-def tables(recording):
+def tables(recording: Recording) -> dict[str, pa.Table]:
     """A recording as Arrow tables: `beads`, `tethers` (a row per step and element), `stability`.
 
     Parameters
@@ -204,7 +205,7 @@ def tables(recording):
     return found
 
 
-def write_parameters(recording, folder):
+def write_parameters(recording: Recording, folder: Path) -> None:
     """Write what it takes to simulate a run again.
 
     Parameters

@@ -1,9 +1,12 @@
 """The messages of a bag in bulk: a million steps in the time the disk and numpy take."""
 
+import contextlib
 import os
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -12,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
+from mcap.summary import Summary
 from mcap_ros2.decoder import DecoderFactory
 
 from tss_ros.bags.cdr import Layout
@@ -32,7 +36,7 @@ _MESSAGE_HEAD = np.dtype(
 _RECORD_HEAD_BYTES = 9  # of opcode and length, which the length does not count
 
 
-def bag_files(path):
+def bag_files(path: str | Path) -> list[Path]:
     """The .mcap files of a bag in the order of recording.
 
     Parameters
@@ -56,7 +60,37 @@ def bag_files(path):
     return sorted(files, key=lambda f: [int(n) for n in re.findall(r"_(\d+)\.mcap$", f.name)])
 
 
-def indexed_reader(stream):
+@contextlib.contextmanager
+def open_complete(file: Path) -> Iterator[BinaryIO]:
+    """Open an MCAP file to be read, for a `with` block that needs it complete.
+
+    Parameters
+    ----------
+    file : Path
+
+    Yields
+    ------
+    file object
+
+    Raises
+    ------
+    TssError
+        If it cannot be read, or if the block finds it damaged.
+    """
+    try:
+        with file.open("rb") as stream:
+            yield stream
+    except OSError as error:
+        raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
+    except DAMAGE as error:
+        reason = str(error) or type(error).__name__
+        raise TssError(
+            f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
+            "killed, `recover` makes a whole bag of it"
+        ) from error
+
+
+def indexed_reader(stream: BinaryIO) -> tuple[SeekingReader, Summary]:
     """The reader and the summary of a complete MCAP file.
 
     Raises
@@ -77,7 +111,7 @@ def indexed_reader(stream):
 class BagContent:
     """Collects what a bag's files hold, file by file."""
 
-    def __init__(self, shown):
+    def __init__(self, shown: str) -> None:
         self.shown = shown
         self._blocks = {name: [] for name in STATES}  # serialised messages, (k, bytes) each
         self._definition = {}
@@ -85,7 +119,7 @@ class BagContent:
         self._bead_count = 0
         self.lost = None
 
-    def read(self, stream):
+    def read(self, stream: BinaryIO) -> None:
         """Take the messages of the next file."""
         reader, summary = indexed_reader(stream)
         if summary.statistics.message_count and not summary.chunk_indexes:
@@ -130,7 +164,7 @@ class BagContent:
                 self.others[name].append((before, decode(message.tobytes())))
         self._bead_count += len(beads)
 
-    def runs(self, name):
+    def runs(self, name: str) -> list[np.ndarray]:
         """The numbers of each run's messages, as structured arrays with rising steps.
 
         A simulator that is started anew counts steps from 0; one that is reset goes on counting,
@@ -175,7 +209,7 @@ class BagContent:
             last = run
         return simulators
 
-    def description(self, first_bead, number, runs):
+    def description(self, first_bead: int, number: int, runs: int) -> Any:
         """The description of a run: the newest one before its first bead state."""
         descriptions = self.others["SystemDescription"]
         if not descriptions:

@@ -2,18 +2,20 @@
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tss_ros.bags.reader import DAMAGE, STATES, BagContent, bag_files
+from tss_ros.bags.reader import STATES, BagContent, bag_files, open_complete
 from tss_ros.core import TssError, deviation
 from tss_ros.core.model.system import RADIUS_EARTH_M
 
 
-@dataclass(frozen=True)
-class Recording:
-    """What a bag says about one run, as arrays: k steps, n beads, m tether segments.
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What stays the same during a run: n beads, m tether segments.
 
     Attributes
     ----------
@@ -27,24 +29,10 @@ class Recording:
     rest_length_m, axial_stiffness_n, damping_n_s_per_m : ndarray, shape (m,)
         [m], [N], [N s/m].
     orbit_altitude_m, orbit_rate_rad_s, spin_rate_ratio : float
+        [m], [rad/s], [-].
     disturbance_m, publish_period_s : float
+        [m], [s].
     disturbance_seed : int
-    step : ndarray, shape (k,), int
-    t_s : ndarray, shape (k,)
-        Simulation time [s].
-    position_m, velocity_m_s : ndarray, shape (k, n, 3)
-        In the orbit frame.
-    deviation : ndarray, shape (k, n)
-        Eq. (53) [-].
-    length_m, tension_n : ndarray, shape (k, m)
-        [m], [N].
-    taut : ndarray, shape (k, m), bool
-    run, runs : int
-        This is the run-th of the runs in its bag, from 1; each begins where the steps begin anew.
-    stability : tuple of messages FloquetResult
-        What the stability node found while the bag was recorded.
-    lost : int or None
-        Messages that the recorder, or `recover`, knew to be lost; None if the bag does not say.
     parameters : dict
         The simulator's parameters; empty in bags of other recorders.
     scenario_yaml : str
@@ -69,6 +57,60 @@ class Recording:
     disturbance_m: float
     publish_period_s: float
     disturbance_seed: int
+    parameters: dict = field(default_factory=dict)
+    scenario_yaml: str = ""
+    versions: tuple = ()
+
+    @classmethod
+    def of(cls, message: Any) -> "Description":
+        """Take over a message SystemDescription, whose fields have the same names.
+
+        Bags made before some of these fields existed lack them.
+        """
+        values = {
+            f.name: _CONVERSIONS.get(f.type, f.type)(getattr(message, f.name))
+            for f in fields(cls)
+            if hasattr(message, f.name)
+        }
+        values["is_satellite"] = values["is_satellite"].astype(bool)
+        values["tether_ends"] = values["tether_ends"].reshape(-1, 2).astype(int)
+        values["parameters"] = json.loads(getattr(message, "parameters_json", "") or "{}")
+        return cls(**values)
+
+    @property
+    def turn_s(self) -> float:
+        """Spin period of the undisturbed formation [s]."""
+        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.orbit_rate_rad_s)
+
+
+#: How a message's values become those of a field, but where its type makes them.
+_CONVERSIONS = {np.ndarray: np.array}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(Description):
+    """What a bag says about one run: its description, and k steps of it as arrays.
+
+    Attributes
+    ----------
+    step : ndarray, shape (k,), int
+    t_s : ndarray, shape (k,)
+        Simulation time [s].
+    position_m, velocity_m_s : ndarray, shape (k, n, 3)
+        [m], [m/s] in the orbit frame.
+    deviation : ndarray, shape (k, n)
+        Eq. (53) [-].
+    length_m, tension_n : ndarray, shape (k, m)
+        [m], [N].
+    taut : ndarray, shape (k, m), bool
+    run, runs : int
+        This is the run-th of the runs in its bag, from 1; each begins where the steps begin anew.
+    stability : tuple of messages FloquetResult
+        What the stability node found while the bag was recorded.
+    lost : int or None
+        Messages that the recorder, or `recover`, knew to be lost; None if the bag does not say.
+    """
+
     step: np.ndarray
     t_s: np.ndarray
     position_m: np.ndarray
@@ -80,35 +122,27 @@ class Recording:
     run: int = 1
     runs: int = 1
     stability: tuple = ()
-    lost: int = None
-    parameters: dict = field(default_factory=dict)
-    scenario_yaml: str = ""
-    versions: tuple = ()
+    lost: int | None = None
 
     @property
-    def turn_s(self):
-        """Spin period of the undisturbed formation [s]."""
-        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.orbit_rate_rad_s)
-
-    @property
-    def turns(self):
+    def turns(self) -> np.ndarray:
         """Simulation time in spin turns [-], shape (k,)."""
         return self.t_s / self.turn_s
 
     @property
-    def centre_of_mass_m(self):
+    def centre_of_mass_m(self) -> np.ndarray:
         """Centre of mass in the orbit frame [m], shape (k, 3)."""
         return np.average(self.position_m, axis=1, weights=self.mass_kg)
 
     @property
-    def deviation_from_centre(self):
+    def deviation_from_centre(self) -> np.ndarray:
         """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
         return deviation(
             self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
         )
 
     @property
-    def energy_j(self):
+    def energy_j(self) -> np.ndarray:
         """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
 
         Kinetic energy, that of gravity and centrifugal force against the frame's origin, and that
@@ -126,24 +160,7 @@ class Recording:
         return 0.5 * ((speed2 + tidal) @ self.mass_kg + stretch_m**2 @ stiffness)
 
 
-_DESCRIBED_ARRAYS = (
-    "mass_kg",
-    "reference_radius_m",
-    "rest_length_m",
-    "axial_stiffness_n",
-    "damping_n_s_per_m",
-)
-_DESCRIBED_NUMBERS = (
-    "orbit_altitude_m",
-    "orbit_rate_rad_s",
-    "spin_rate_ratio",
-    "disturbance_m",
-    "disturbance_seed",
-    "publish_period_s",
-)
-
-
-def read_bag(path, run=None):
+def read_bag(path: str | Path, run: int | None = None) -> Recording:
     """Read one run from a bag.
 
     Parameters
@@ -167,17 +184,8 @@ def read_bag(path, run=None):
     shown = str(path)
     bag = BagContent(shown)
     for file in bag_files(path):
-        try:
-            with file.open("rb") as stream:
-                bag.read(stream)
-        except OSError as error:
-            raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
-        except DAMAGE as error:
-            reason = error or type(error).__name__
-            raise TssError(
-                f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
-                "killed, `recover` makes a whole bag of it"
-            ) from error
+        with open_complete(file) as stream:
+            bag.read(stream)
     beads, tethers = (bag.runs(name) for name in STATES)
     if len(beads) != len(tethers):
         raise TssError(
@@ -189,32 +197,6 @@ def read_bag(path, run=None):
     number = run or len(beads)
     first_bead = sum(len(earlier) for earlier in beads[: number - 1])
     return _recording(bag, number, len(beads), first_bead, beads[number - 1], tethers[number - 1])
-
-
-def described_fields(described):
-    """What a message SystemDescription says, as the fields of a Recording.
-
-    Parameters
-    ----------
-    described : message
-
-    Returns
-    -------
-    dict
-    """
-    return {
-        "scenario": described.scenario,
-        "bead_name": tuple(described.bead_name),
-        "tether_name": tuple(described.tether_name),
-        "is_satellite": np.array(described.is_satellite, dtype=bool),
-        "tether_ends": np.reshape(described.tether_ends, (-1, 2)).astype(int),
-        **{name: np.array(getattr(described, name)) for name in _DESCRIBED_ARRAYS},
-        **{name: getattr(described, name) for name in _DESCRIBED_NUMBERS},
-        # Bags made before these fields existed lack them.
-        "parameters": json.loads(getattr(described, "parameters_json", "") or "{}"),
-        "scenario_yaml": getattr(described, "scenario_yaml", ""),
-        "versions": tuple(getattr(described, "versions", ())),
-    }
 
 
 def _recording(bag, number, run_count, first_bead, beads, tethers):
@@ -232,7 +214,7 @@ def _recording(bag, number, run_count, first_bead, beads, tethers):
         return values[field][rows].reshape(len(steps), *shape)
 
     return Recording(
-        **described_fields(bag.description(first_bead, number, run_count)),
+        **vars(Description.of(bag.description(first_bead, number, run_count))),
         step=steps.astype(int),
         t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
         position_m=column("beads", "position_m", -1, 3),

@@ -9,6 +9,7 @@ import mmap
 import os
 import struct
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -16,6 +17,7 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 
+from tss_ros.bags.directory import lock, sync_directory
 from tss_ros.bags.reader import DAMAGE, bag_files, indexed_reader
 from tss_ros.bags.writer import (
     CHUNK_BYTES,
@@ -23,8 +25,6 @@ from tss_ros.bags.writer import (
     NOTES,
     BagFile,
     finish,
-    lock,
-    sync_directory,
     write_metadata,
 )
 from tss_ros.core import TssError
@@ -34,7 +34,7 @@ DAMAGED_SUFFIX = ".damaged"
 _CHUNK_MARK, _CHUNK_MARK_OFFSET = struct.pack("<I", 3) + b"lz4", 37
 
 
-def find_cut(folder):
+def find_cut(folder: str | Path) -> list[Path]:
     """Bags in a folder that were begun by a recorder of ours that is gone, and never completed.
 
     Parameters
@@ -54,7 +54,7 @@ def find_cut(folder):
     return sorted(b for b in begun if not (b / "metadata.yaml").exists() and not _in_use(b))
 
 
-def recover(bag):
+def recover(bag: str | Path) -> list[str]:
     """Make a bag whole, in place.
 
     Parameters
@@ -129,8 +129,8 @@ def _whole_file(path, topics):
         indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
         for chunk, index in zip(chunks, indexes, strict=True):
             # One whose head is blank reads like an empty chunk without a checksum.
-            told = index.uncompressed_size, index.compression
-            if (chunk.uncompressed_size, chunk.compression) != told:
+            indexed = index.uncompressed_size, index.compression
+            if (chunk.uncompressed_size, chunk.compression) != indexed:
                 raise ValueError(f"a chunk of {path} is not as the file's index says")
             get_chunk_data_stream(chunk, validate_crc=True)
     file = BagFile(path.name)
@@ -254,7 +254,7 @@ def _free_name(path):
     return free
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `recover`: exit status 0, or 1 with one line why for each bag that failed."""
     parser = argparse.ArgumentParser(
         prog="recover", description="Make whole bags of recordings that were cut short."

@@ -5,17 +5,17 @@ What a file holds is on its way to the disk at each `flush`, and `tss_ros.bags.r
 whole bag of one whose recorder was killed.
 """
 
-import contextlib
-import fcntl
 import os
 import time
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from tss_ros.bags.directory import lock, sync_directory
 from tss_ros.core import TssError
 
 #: Small chunks and frequent flushes bound what a killed recorder loses.
@@ -44,15 +44,15 @@ class BagFile:
 
     name: str
     counts: dict = field(default_factory=dict)
-    first_ns: int = None
-    last_ns: int = None
+    first_ns: int | None = None
+    last_ns: int | None = None
 
     @property
-    def message_count(self):
+    def message_count(self) -> int:
         """Messages of all topics."""
         return sum(self.counts.values())
 
-    def add(self, topic, log_time_ns):
+    def add(self, topic: str, log_time_ns: int) -> None:
         """Count one message."""
         self.counts[topic] = self.counts.get(topic, 0) + 1
         if self.first_ns is None:
@@ -87,7 +87,9 @@ class BagWriter:
         If `directory` exists already or cannot be made.
     """
 
-    def __init__(self, directory, ros_distro, split_bytes=0, split_s=0.0):
+    def __init__(
+        self, directory: str | Path, ros_distro: str, split_bytes: float = 0, split_s: float = 0.0
+    ) -> None:
         self.directory = Path(directory)
         self.notes = {"recorder": f"tss_ros {version('tss_ros')}", "ros_distro": ros_distro}
         self.message_count = 0
@@ -109,11 +111,18 @@ class BagWriter:
             raise TssError(f"output {str(directory)!r} cannot be made: {error.strerror}") from error
 
     @property
-    def path(self):
+    def path(self) -> Path:
         """The file that is being written."""
         return self.directory / self._files[-1].name
 
-    def add_topic(self, name, type_name, definition, type_hash, offered_qos):
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        definition: str,
+        type_hash: str,
+        offered_qos: dict[str, Any],
+    ) -> int:
         """Announce a topic.
 
         Parameters
@@ -140,8 +149,20 @@ class BagWriter:
         self._topics.append((topic, definition))
         return self._register(topic, definition)
 
-    def write(self, channel, data, log_time_ns, publish_time_ns, sequence):
+    def write(
+        self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int
+    ) -> None:
         """Write one serialised message of a topic announced before. After a failure, do nothing.
+
+        Parameters
+        ----------
+        channel : int
+            The topic's number, from `add_topic`.
+        data : bytes
+        log_time_ns, publish_time_ns : int
+            Simulation time and wall time [ns].
+        sequence : int
+            Number of the message in its topic.
 
         Raises
         ------
@@ -157,7 +178,7 @@ class BagWriter:
         self._files[-1].add(self._topics[channel - 1][0]["name"], log_time_ns)
         self.message_count += 1
 
-    def flush(self):
+    def flush(self) -> None:
         """Hand all that is written to the operating system and, each second, to the disk.
 
         Raises
@@ -187,7 +208,7 @@ class BagWriter:
         if not self._is_in_place():
             raise TssError(f"{self.path} was moved or removed while it was recorded")
 
-    def close(self):
+    def close(self) -> None:
         """Complete the bag: indexes, summary, metadata.yaml. After a failure, do nothing.
 
         A file that was moved is completed where it is now.
@@ -251,7 +272,14 @@ class BagWriter:
         )
 
 
-def finish(writer, stream, file, topics, ros_distro, notes):
+def finish(
+    writer: Writer,
+    stream: BinaryIO,
+    file: BagFile,
+    topics: list[dict[str, Any]],
+    ros_distro: str,
+    notes: dict[str, str],
+) -> None:
     """Complete one file: metadata, indexes, summary; safe on the disk when this returns.
 
     Parameters
@@ -275,7 +303,13 @@ def finish(writer, stream, file, topics, ros_distro, notes):
     stream.close()
 
 
-def write_metadata(directory, files, topics, ros_distro, notes):
+def write_metadata(
+    directory: Path,
+    files: list[BagFile],
+    topics: list[dict[str, Any]],
+    ros_distro: str,
+    notes: dict[str, str],
+) -> None:
     """Write a bag's metadata.yaml, which rosbag2 needs; whole or not at all.
 
     Parameters
@@ -293,35 +327,6 @@ def write_metadata(directory, files, topics, ros_distro, notes):
         os.fsync(stream.fileno())
     fresh.replace(directory / "metadata.yaml")
     sync_directory(directory)
-
-
-def lock(directory):
-    """Mark a bag as being written, until the returned file descriptor is closed.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process has marked it.
-    """
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise
-    except OSError:  # a file system without locks
-        pass
-    return descriptor
-
-
-def sync_directory(directory):
-    """Make new and renamed files of a directory outlive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        with contextlib.suppress(OSError):  # some file systems do not sync directories
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _information(files, topics, ros_distro, notes):

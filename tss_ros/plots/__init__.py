@@ -3,7 +3,17 @@
 Figures are built without pyplot, so they share no state and need no screen; the caller saves them.
 """
 
+from matplotlib.figure import Figure
+
 from tss_ros.plots.charts import stability, stability_map
 from tss_ros.plots.motions import balance, deviation, tethers, trajectories
 
-__all__ = ["balance", "deviation", "stability", "stability_map", "tethers", "trajectories"]
+__all__ = [
+    "Figure",
+    "balance",
+    "deviation",
+    "stability",
+    "stability_map",
+    "tethers",
+    "trajectories",
+]

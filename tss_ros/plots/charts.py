@@ -1,14 +1,23 @@
 """Charts of stability over spin rates and parameters."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+from numpy.typing import ArrayLike
 
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, VERDICT_STYLES, finish, legend_below
 
 
-def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, method="monodromy"):
-    """Largest Floquet multiplier modulus against spin rate, the verdict told by the marker.
+def stability(
+    spin_rate_ratio: ArrayLike,
+    max_modulus: ArrayLike,
+    max_modulus_nontrivial: ArrayLike,
+    verdict: Sequence[str],
+    method: str = "monodromy",
+) -> Figure:
+    """Largest Floquet multiplier modulus against spin rate; markers show the verdict.
 
     Parameters
     ----------
@@ -78,7 +87,12 @@ def stability(spin_rate_ratio, max_modulus, max_modulus_nontrivial, verdict, met
     return figure
 
 
-def stability_map(parameter, points, critical, labels=()):
+def stability_map(
+    parameter: str,
+    points: tuple[np.ndarray, np.ndarray, np.ndarray],
+    critical: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    labels: Sequence[str] = (),
+) -> Figure:
     """Verdicts and critical rates over spin rate and the values of a parameter.
 
     Parameters

@@ -1,12 +1,17 @@
 """Figures of recorded motions."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from tss_ros.plots.style import DPI, INK, MARKERS, finish, legend_below, series_style
 
 
-def trajectories(position_m, tether_ends, bead_name, is_satellite):
+def trajectories(
+    position_m: ArrayLike, tether_ends: ArrayLike, bead_name: Sequence[str], is_satellite: ArrayLike
+) -> Figure:
     """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
 
     Parameters
@@ -73,7 +78,12 @@ def trajectories(position_m, tether_ends, bead_name, is_satellite):
     return figure
 
 
-def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
+def deviation(
+    turns: ArrayLike,
+    deviation: ArrayLike,
+    bead_name: Sequence[str],
+    from_centre_of_mass: ArrayLike | None = None,
+) -> Figure:
     """Relative deviation of the beads' distances from their undisturbed values against turns.
 
     Parameters
@@ -110,7 +120,9 @@ def deviation(turns, deviation, bead_name, from_centre_of_mass=None):
     return figure
 
 
-def tethers(turns, length_m, tension_n, tether_name):
+def tethers(
+    turns: ArrayLike, length_m: ArrayLike, tension_n: ArrayLike, tether_name: Sequence[str]
+) -> Figure:
     """Lengths and tensions of all tether segments against turns.
 
     Parameters
@@ -127,7 +139,7 @@ def tethers(turns, length_m, tension_n, tether_name):
     return _panels(turns, (("length [m]", length_m), ("tension [N]", tension_n)), tether_name)
 
 
-def balance(turns, energy_j, centre_of_mass_m):
+def balance(turns: ArrayLike, energy_j: ArrayLike, centre_of_mass_m: ArrayLike) -> Figure:
     """Energy and centre of mass in the orbit frame against turns.
 
     Parameters

@@ -3,6 +3,9 @@
 Line style and marker tell the curves apart where colour cannot.
 """
 
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
 # Okabe and Ito's palette without yellow: distinct for every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LINE_STYLES = (
@@ -25,12 +28,12 @@ INK = "#333333"
 DPI = 200
 
 
-def series_style(i):
+def series_style(i: int) -> dict[str, object]:
     """Colour and line style of the i-th curve."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": LINE_STYLES[i % len(LINE_STYLES)]}
 
 
-def finish(axes, xlabel, ylabel):
+def finish(axes: Axes, xlabel: str, ylabel: str) -> None:
     """Label the axes and give them the common look."""
     axes.set_xlabel(xlabel)
     axes.set_ylabel(ylabel)
@@ -39,7 +42,7 @@ def finish(axes, xlabel, ylabel):
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def legend_below(figure, axes, columns):
+def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
     """One legend for the figure, of the curves in `axes`, where it covers none."""
     figure.legend(
         *axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, frameon=False

@@ -4,11 +4,12 @@ import threading
 from collections import deque
 
 import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
 
 from tss_ros.bags.cdr import stamp_ns, step_number
-from tss_ros.bags.recording import Recording, described_fields
+from tss_ros.bags.recording import Description, Recording
 from tss_ros.core import TssError
 
 #: The viewer gets at most this many steps, this often [s]; a display shows no more.
@@ -23,31 +24,31 @@ class LiveFeed:
     Parameters
     ----------
     logger : rclpy logger
-        Told if there is no viewer; recording goes on without.
+        Gets an error if there is no viewer; recording goes on without.
     """
 
-    def __init__(self, logger):
+    def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self._waiting = {
             name: deque(maxlen=WAITING)
             for name in ("system_description", "bead_states", "tether_states", "stability_results")
         }
-        self._described = None
+        self._description = None
         self._beads, self._tethers, self._stability = {}, {}, ()
         self._shown_step, self._first_step = -1, 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 
-    def start(self):
+    def start(self) -> None:
         """Open the viewer and begin to show."""
         self._thread.start()
 
-    def take(self, name, data):
+    def take(self, name: str, data: bytes) -> None:
         """Take one serialised message of the topic `name`; returns at once."""
         if name in self._waiting:
             self._waiting[name].append(data)
 
-    def stop(self):
+    def stop(self) -> None:
         """Let go of the viewer, within about a second."""
         self._stopping.set()
         self._thread.join(timeout=1.0)
@@ -74,17 +75,17 @@ class LiveFeed:
             self._beads, self._tethers, self._shown_step = {}, {}, -1
         if descriptions:
             message = deserialize_message(descriptions[-1], SystemDescription)
-            self._described, self._first_step = described_fields(message), message.first_step
+            self._description, self._first_step = Description.of(message), message.first_step
         results = [deserialize_message(d, FloquetResult) for d in self._take("stability_results")]
         self._stability += tuple(results)
         self._beads |= {step: data for step, data in beads.items() if step >= self._first_step}
         self._tethers |= tethers
         steps = sorted(self._beads.keys() & self._tethers.keys())
         first = self._shown_step < 0
-        if self._described and steps:
+        if self._description and steps:
             shown = steps[:: 1 + len(steps) // STEPS]
             states = [(self._beads[step], self._tethers[step]) for step in shown]
-            review.show(Recording(**self._described, **_arrays(states)))
+            review.show(Recording(**vars(self._description), **_arrays(states)))
             self._shown_step = steps[-1]
             # What is left are steps of which only one half has come so far.
             for waiting in (self._beads, self._tethers):

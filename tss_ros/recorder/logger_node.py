@@ -6,18 +6,21 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
 from tss_interfaces.msg import RecorderStatus
 
 from tss_ros.bags.cdr import stamp_ns, step_number
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
-from tss_ros.ros import parameters
+from tss_ros.ros import diagnostics, parameters
+from tss_ros.ros.messages import stamp
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import read_topics
+from tss_ros.ros.topics import Topic, read_topics
 
 #: A topic with more messages than this waiting lets the others have their turn.
 DRAIN_LIMIT = 50
@@ -39,7 +42,13 @@ class RecordedTopic:
         Called with this object, the serialised message and its middleware information.
     """
 
-    def __init__(self, node, topic, writer, on_message):
+    def __init__(
+        self,
+        node: Node,
+        topic: Topic,
+        writer: BagWriter,
+        on_message: Callable[["RecordedTopic", bytes, dict[str, Any]], None],
+    ) -> None:
         self.name = topic.name
         self.stamp_offset = topic.stamp_offset
         self.of_simulator = topic.publisher == "sim_node"
@@ -61,7 +70,7 @@ class RecordedTopic:
             topic.offered_qos,
         )
 
-    def count_lost(self, number):
+    def count_lost(self, number: int | None) -> int:
         """Return, and add up, the messages that were dropped before the one with this number.
 
         Numbers that begin anew belong to a new publisher, and what was published before the first
@@ -74,7 +83,7 @@ class RecordedTopic:
         self.lost += lost
         return lost
 
-    def take(self, limit=None):
+    def take(self, limit: int | None = None) -> None:
         """Handle the messages that wait, up to `limit` of them."""
         for _ in range(limit or self._depth):
             taken = self.subscription.handle.take_message(self._message_class, True)
@@ -123,7 +132,7 @@ class LoggerNode(TssNode):
         self._recovery = None
         self.get_logger().info(f"recording {len(self._topics)} topics to {self._writer.path}")
 
-    def start(self):
+    def start(self) -> None:
         """Begin to report, to show, and to recover what earlier recorders left cut short."""
         self._reporter.start()
         if cut := find_cut(self._writer.directory.absolute().parent):
@@ -131,7 +140,7 @@ class LoggerNode(TssNode):
         if self._live:
             self._live.start()
 
-    def stop(self):
+    def stop(self) -> None:
         """Write what has arrived and close the bag."""
         self._stopping.set()
         if self._recovery:
@@ -201,9 +210,8 @@ class LoggerNode(TssNode):
 
     def _report(self):
         self._reported_step = self._last_step
-        now_ns = time.time_ns()
         status = RecorderStatus(
-            stamp=Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9),
+            stamp=stamp(time.time_ns()),
             output=str(self._writer.directory.absolute()),
             recording=True,
             matched=all(
@@ -222,23 +230,17 @@ class LoggerNode(TssNode):
                 raise
 
     def _diagnose(self):
-        ok = not self._lost
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR,
-            name=f"{self.get_fully_qualified_name()}: recording",
-            hardware_id="none",
-            message="nothing lost" if ok else f"{self._lost} messages were lost",
-            values=[
-                KeyValue(key="output", value=str(self._writer.path)),
-                KeyValue(key="messages", value=str(self._writer.message_count)),
-                *(KeyValue(key=k, value=v) for k, v in self._writer.notes.items()),
-            ],
+        self._diagnostics.publish(
+            diagnostics.of_recorder(
+                self.get_fully_qualified_name(),
+                self.get_clock().now().to_msg(),
+                str(self._writer.path),
+                self._writer.message_count,
+                self._writer.notes,
+            )
         )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
 
 
-def main():
+def main() -> None:
     """Executable `logger_node`."""
     run(LoggerNode)

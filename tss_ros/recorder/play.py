@@ -15,14 +15,11 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from tss_ros.bags.reader import DAMAGE, bag_files, indexed_reader
-from tss_ros.core import TssError
+from tss_ros.bags.reader import bag_files, indexed_reader, open_complete
 from tss_ros.ros import messages
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import message_class
+from tss_ros.ros.topics import CLOCK_RATE_HZ, message_class
 
-#: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
-CLOCK_RATE_HZ = 200.0
 #: Messages that are put into order: as many as wait for a recorder at most, in all topics.
 LOOKAHEAD = 8000
 #: How long [s] to wait at the end for those who listen.
@@ -38,7 +35,7 @@ class PlayNode(TssNode):
         As `main` makes it.
     """
 
-    def __init__(self, options):
+    def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("play")
         self._options = options
         self._publisher, self._latched = {}, set()
@@ -62,12 +59,12 @@ class PlayNode(TssNode):
             f"playing {options.bag} at {options.rate:g} times simulation time; service ~/pause"
         )
 
-    def start(self):
+    def start(self) -> None:
         """Begin to play in a thread of its own."""
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
 
-    def stop(self):
+    def stop(self) -> None:
         """End playing."""
         self._stopping.set()
         self._playing.set()
@@ -141,13 +138,8 @@ def _as_published(reader):
 
 def _channels(file):
     """Channel and schema by channel number of a bag's file."""
-    try:
-        with file.open("rb") as stream:
-            _, summary = indexed_reader(stream)
-    except OSError as error:
-        raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
-    except DAMAGE as error:
-        raise TssError(f"{str(file)!r} is not a complete MCAP file: {error}") from error
+    with open_complete(file) as stream:
+        _, summary = indexed_reader(stream)
     return {i: (c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()}
 
 
@@ -163,7 +155,7 @@ def _qos(channel):
     )
 
 
-def main():
+def main() -> None:
     """Executable `play`."""
     parser = argparse.ArgumentParser(
         prog="play",

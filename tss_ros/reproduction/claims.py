@@ -6,18 +6,28 @@ w = omega / Omega, negative for the paper's clockwise.
 
 import functools
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 
-from tss_ros.core import Propagator, compute_floquet, confirm, find_critical_rates, tether_state
+from tss_ros.bags.recording import Recording
+from tss_ros.core import (
+    Propagator,
+    System,
+    compute_floquet,
+    confirm,
+    find_critical_rates,
+    tether_state,
+)
+from tss_ros.core.stability.confirmation import LOST, SAMPLES
 from tss_ros.scenarios import scenario
 
 DISTURBANCE_M, SEED = 10.0, 1
-SAMPLES_PER_TURN = 200
-#: A motion is lost when a distance changes by more than this part of the radius.
-LOST = 0.2
+#: Motions are recorded as densely as `confirm` samples them.
+SAMPLES_PER_TURN = SAMPLES
 #: Half-width within which a computed critical rate agrees with the paper's three digits.
 AGREES = 0.02
 #: Dampings tried [N s/m], besides those identified.
@@ -27,7 +37,7 @@ RIGID_EDGE = -(1.0 + math.sqrt(2.5))
 
 
 @dataclass(frozen=True)
-class Motion:
+class PaperMotion:
     """One simulated motion of the paper's figures.
 
     Attributes
@@ -45,18 +55,18 @@ class Motion:
 
 
 MOTIONS = {
-    "figure_03": Motion("three_star", -2.0, 3, 0.0),
-    "figure_04": Motion("three_star", -2.5, 3, 0.0),
-    "figure_06": Motion("three_star", -2.0),
-    "figure_07": Motion("three_star", -2.5),
-    "figure_10_2.5": Motion("three_star_50kg", -2.5),
-    "figure_10_2.9": Motion("three_star_50kg", -2.9),
-    "figure_11_1.5": Motion("three_star_1000kg", -1.5),
-    "figure_11_2.2": Motion("three_star_1000kg", -2.2),
-    "figure_14_1.5": Motion("six_bead", -1.5, 12),
-    "figure_14_2.2": Motion("six_bead", -2.2, 12),
+    "figure_03": PaperMotion("three_star", -2.0, 3, 0.0),
+    "figure_04": PaperMotion("three_star", -2.5, 3, 0.0),
+    "figure_06": PaperMotion("three_star", -2.0),
+    "figure_07": PaperMotion("three_star", -2.5),
+    "figure_10_2.5": PaperMotion("three_star_50kg", -2.5),
+    "figure_10_2.9": PaperMotion("three_star_50kg", -2.9),
+    "figure_11_1.5": PaperMotion("three_star_1000kg", -1.5),
+    "figure_11_2.2": PaperMotion("three_star_1000kg", -2.2),
+    "figure_14_1.5": PaperMotion("six_bead", -1.5, 12),
+    "figure_14_2.2": PaperMotion("six_bead", -2.2, 12),
     # Not the paper's: a rate at which our six beads hold, to see what lengths and shape do then.
-    "six_bead_2.9": Motion("six_bead", -2.9, 12),
+    "six_bead_2.9": PaperMotion("six_bead", -2.9, 12),
 }
 
 #: The 3-stars, by mass.
@@ -87,12 +97,12 @@ FATES = (
 )
 
 
-def system(name, damping_n_s_per_m):
+def system(name: str, damping_n_s_per_m: float) -> System:
     """The System of a shipped scenario with another damping."""
     return scenario.load(name).build({"damping_n_s_per_m": damping_n_s_per_m})
 
 
-def slack_edge(damping_n_s_per_m, of):
+def slack_edge(damping_n_s_per_m: float, of: System) -> float:
     """Closed form of the first slack of a rigid, damped 3-star (clockwise), the mass cancels.
 
     Taut while w^2 + 2w + 3/2 >= 3 / sqrt(1 + (2 w Omega tau)^2), tau = C L / EA.
@@ -105,7 +115,7 @@ def slack_edge(damping_n_s_per_m, of):
     return brentq(excess, -2.6, -1.5)
 
 
-def static_stretch_m(mass_kg, rate):
+def static_stretch_m(mass_kg: float, rate: float) -> float:
     """Mean stretch of a tether of the rigid 3-star, T L / EA, T = (M L / 3) Omega^2 [...] [m]."""
     of = system("three_star", 0.0)
     length, stiffness = of.rest_length_m[0], of.axial_stiffness_n[0]
@@ -113,7 +123,7 @@ def static_stretch_m(mass_kg, rate):
     return tension * length / stiffness
 
 
-def identify_damping(cancelled):
+def identify_damping(cancelled: Callable[[], bool]) -> dict[str, dict[str, Any]]:
     """For each claimed critical rate of a 3-star the damping that yields it, by the true motion.
 
     The root in C of the smallest stretch that a tether of the corrected periodic motion has in a
@@ -145,15 +155,46 @@ def identify_damping(cancelled):
     return found
 
 
-def boundaries(name, damping, ratio_from, ratio_to, cancelled, tolerance=2e-3):
-    """Critical rates by the true monodromy, as [rate, cause, stable side]."""
+def boundaries(
+    name: str,
+    damping: float,
+    ratio_from: float,
+    ratio_to: float,
+    cancelled: Callable[[], bool],
+    tolerance: float = 2e-3,
+) -> list[list]:
+    """Critical rates by the true monodromy.
+
+    Parameters
+    ----------
+    name : str
+        Of a scenario.
+    damping : float
+        C [N s/m].
+    ratio_from, ratio_to : float
+        Ends of the interval of rates.
+    cancelled : callable
+    tolerance : float
+        Largest uncertainty of a rate.
+
+    Returns
+    -------
+    list of [float, str, int]
+        Rate, cause, and 1 or -1 for the stable side.
+    """
     rates = find_critical_rates(
         system(name, damping), ratio_from, ratio_to, tolerance, 0.1, cancelled=cancelled
     )
     return [[r.spin_rate_ratio, r.cause, r.stable_side] for r in rates]
 
 
-def simulated_edges(name, damping, cancelled, disturbance_m=DISTURBANCE_M, which=None):
+def simulated_edges(
+    name: str,
+    damping: float,
+    cancelled: Callable[[], bool],
+    disturbance_m: float = DISTURBANCE_M,
+    which: Iterable[str] | None = None,
+) -> dict[str, float | None]:
     """Bisect, to 0.005, where motions disturbed for 12 turns are held, and where they also settle.
 
     Returns
@@ -180,8 +221,25 @@ def simulated_edges(name, damping, cancelled, disturbance_m=DISTURBANCE_M, which
     return {measure: bisect(measures[measure]) for measure in which or measures}
 
 
-def bisect(good, slow=-1.9, fast=-3.4, half_width=0.005):
-    """The rate between `slow`, where `good` fails, and `fast`, where it holds; else None."""
+def bisect(
+    good: Callable[[float], bool], slow: float = -1.9, fast: float = -3.4, half_width: float = 0.005
+) -> float | None:
+    """Bisect for the rate from which on a condition holds.
+
+    Parameters
+    ----------
+    good : callable
+        The condition, given a rate.
+    slow, fast : float
+        Rates at which it should fail and hold.
+    half_width : float
+        Of the interval that is left.
+
+    Returns
+    -------
+    float or None
+        Its middle; None if the condition holds at `slow` or fails at `fast`.
+    """
     if good(slow) or not good(fast):
         return None
     while slow - fast > 2 * half_width:
@@ -190,7 +248,9 @@ def bisect(good, slow=-1.9, fast=-3.4, half_width=0.005):
     return 0.5 * (slow + fast)
 
 
-def damping_scan(name, dampings, cancelled):
+def damping_scan(
+    name: str, dampings: Iterable[float], cancelled: Callable[[], bool]
+) -> list[dict[str, Any]]:
     """How the critical rate depends on the damping: monodromy, simulation, closed form."""
     rows = []
     for damping in dampings:
@@ -207,7 +267,13 @@ def damping_scan(name, dampings, cancelled):
     return rows
 
 
-def none_beyond(name, dampings, cancelled, fastest=-3.5, slowest=-2.62):
+def none_beyond(
+    name: str,
+    dampings: Sequence[float],
+    cancelled: Callable[[], bool],
+    fastest: float = -3.5,
+    slowest: float = -2.62,
+) -> dict[str, Any]:
     """Rates, faster than any first slack, that are not stable or not always taut: [C, w] pairs."""
     rates = np.append(np.arange(fastest, slowest, 0.08), [-2.79, slowest])
     bad = []
@@ -221,7 +287,7 @@ def none_beyond(name, dampings, cancelled, fastest=-3.5, slowest=-2.62):
     return {"rates": rates.size, "dampings": list(dampings), "bad": bad}
 
 
-def curve(name, damping, cancelled):
+def curve(name: str, damping: float, cancelled: Callable[[], bool]) -> list[dict[str, Any]]:
     """Moduli of true and frozen multipliers against the rate, denser around the claimed one."""
     claimed = CRITICAL[name]
     rates = np.concatenate([np.arange(-3.5, -1.15, 0.1), claimed + np.linspace(-0.12, 0.12, 9)])
@@ -243,7 +309,7 @@ def curve(name, damping, cancelled):
     return rows
 
 
-def fate(motion, damping, cancelled):
+def fate(motion: PaperMotion, damping: float, cancelled: Callable[[], bool]) -> dict[str, Any]:
     """Verdict of both Floquet methods and of the disturbed simulation for one recorded motion."""
     of = system(motion.scenario, damping)
     true = compute_floquet(of, motion.rate, cancelled=cancelled)
@@ -269,7 +335,9 @@ def fate(motion, damping, cancelled):
     }
 
 
-def fates_by_damping(motion, dampings, cancelled):
+def fates_by_damping(
+    motion: PaperMotion, dampings: Iterable[float], cancelled: Callable[[], bool]
+) -> list[list]:
     """Whether the disturbed motion is held and settles, at each damping."""
     rows = []
     for damping in dampings:
@@ -285,7 +353,7 @@ def fates_by_damping(motion, dampings, cancelled):
     return rows
 
 
-def oscillation(recording, from_turn=2.0):
+def oscillation(recording: Recording, from_turn: float = 2.0) -> dict[str, Any]:
     """What lengths and shape of a recorded motion do after `from_turn`.
 
     The shape is the kink of each tether in its middle: the signed angle in the orbital plane

@@ -5,22 +5,64 @@ left to the step control. Nothing else in the package computes with it.
 """
 
 import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.integrate import odeint
 
-from tss_ros.core import Cancelled, disturbed, initial_state
-from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M
+from tss_ros.core import Cancelled, System, disturbed, initial_state
+from tss_ros.core.model.system import MU_EARTH
 from tss_ros.reproduction.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 
 TURNS, SAMPLES_PER_TURN = 8, 50
 
 
-def held_edges(names, damping, tolerances, cancelled):
-    """Rate at which a disturbed motion is first held, by scenario and relative tolerance.
+class _Constants(NamedTuple):
+    """Constants of Eq. (1) in SI units.
 
-    Half-width 0.025; None where no rate between 2.0 and 2.9 separates lost from held.
+    Attributes
+    ----------
+    mass : ndarray, shape (n,)
+    first, second : ndarray, shape (m,), int
+        Beads at the two ends of each segment.
+    rest, stiffness, damping : ndarray, shape (m,)
+        L [m], EA [N] and C [N s/m].
+    rate, radius : float
+        Of the orbit [rad/s], [m].
+    """
+
+    mass: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    rest: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    rate: float
+    radius: float
+
+
+def held_edges(
+    names: Iterable[str], damping: float, tolerances: Iterable[float], cancelled: Callable[[], bool]
+) -> list[list]:
+    """Rates at which a disturbed motion is first held, with a half-width of 0.025.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Scenarios.
+    damping : float
+        C [N s/m].
+    tolerances : iterable of float
+        Relative tolerances of the integrator.
+    cancelled : callable
+
+    Returns
+    -------
+    list of [str, float, float or None]
+        Scenario, tolerance and rate; None where no rate between 2.0 and 2.9 separates lost from
+        held.
     """
     rows = []
     for name in names:
@@ -34,26 +76,26 @@ def held_edges(names, damping, tolerances, cancelled):
     return rows
 
 
-def largest_deviation(of, rate, rtol, cancelled):
+def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[[], bool]) -> float:
     """Largest change of a distance from the centre of mass, over itself, in `TURNS` turns."""
     start = disturbed(initial_state(of, rate), DISTURBANCE_M, SEED)
     turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))
     first, second = np.ascontiguousarray(of.tether_ends.T)
-    constants = (
-        of.mass_kg,
-        first,
-        second,
-        of.rest_length_m,
-        of.axial_stiffness_n,
-        of.damping_n_s_per_m,
-        of.orbit_rate_rad_s,
-        RADIUS_EARTH_M + of.orbit_altitude_m,
+    constants = _Constants(
+        mass=of.mass_kg,
+        first=first,
+        second=second,
+        rest=of.rest_length_m,
+        stiffness=of.axial_stiffness_n,
+        damping=of.damping_n_s_per_m,
+        rate=of.orbit_rate_rad_s,
+        radius=of.orbit_radius_m,
     )
 
     def derivative(state, _):
         if cancelled():
             raise Cancelled(f"stopped at rate {rate:g}")
-        return _derivative(state, *constants)
+        return _derivative(state, constants)
 
     states = odeint(
         derivative,
@@ -70,7 +112,8 @@ def largest_deviation(of, rate, rtol, cancelled):
 
 
 @njit(cache=True)
-def _derivative(state, mass, first, second, rest, stiffness, damping, rate, radius):
+def _derivative(state, constants):
+    mass, first, second, rest, stiffness, damping, rate, radius = constants
     n = mass.size
     change = np.empty(6 * n)
     change[3 * n :] = state[: 3 * n]

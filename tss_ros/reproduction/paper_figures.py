@@ -5,10 +5,13 @@ their size, |w| = |omega| / Omega, as the paper's axes do.
 """
 
 import itertools
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from tss_ros.bags.recording import Recording
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -32,7 +35,7 @@ def _figure(width, height, wspace=0.02):
     return figure
 
 
-def table(rows):
+def table(rows: Sequence[tuple[str, str, str, str]]) -> Figure:
     """Table 1: rows of (physical significance, symbol, paper's value, value used)."""
     figure = _figure(8.0, 0.35 * (len(rows) + 1))
     axes = figure.subplots()
@@ -51,7 +54,7 @@ def table(rows):
     return figure
 
 
-def orbit(recording):
+def orbit(recording: Recording) -> Figure:
     """Figs. 3, 4, 6, 7: paths in space, satellites and tethers at the start and the end."""
     figure = _figure(6.4, 5.6)
     axes = figure.add_subplot(projection="3d")
@@ -60,7 +63,7 @@ def orbit(recording):
     return figure
 
 
-def deviations(recordings):
+def deviations(recordings: Sequence[Recording]) -> Figure:
     """Fig. 8: relative deviation (53) of several motions, from the origin and from the centre."""
     figure = _figure(9.0, 5.6)
     rows = figure.subplots(2, len(recordings), sharex="col", squeeze=False)
@@ -75,7 +78,7 @@ def deviations(recordings):
     return figure
 
 
-def formation(recordings):
+def formation(recordings: Sequence[Recording]) -> Figure:
     """Figs. 10, 11: for each motion its paths in space, the top view and the deviation."""
     figure = _figure(13.0, 4.3 * len(recordings) + 0.4, BESIDE_SPACE)
     for row, recording in enumerate(recordings):
@@ -105,7 +108,7 @@ def formation(recordings):
     return figure
 
 
-def views(recordings):
+def views(recordings: Sequence[Recording]) -> Figure:
     """Fig. 14: for each motion its paths in space and the top view."""
     figure = _figure(10.0, 4.6 * len(recordings) + 0.4, BESIDE_SPACE)
     for row, recording in enumerate(recordings):
@@ -119,7 +122,7 @@ def views(recordings):
     return figure
 
 
-def distances_and_lengths(recordings):
+def distances_and_lengths(recordings: Sequence[Recording]) -> Figure:
     """Fig. 15: for each motion the beads' distances and the tethers' lengths against turns."""
     figure = _figure(11.0, 3.4 * len(recordings) + 0.5)
     grid = figure.subplots(len(recordings), 2, squeeze=False)
@@ -137,7 +140,7 @@ def distances_and_lengths(recordings):
     return figure
 
 
-def multipliers(curves):
+def multipliers(curves: Sequence[tuple[str, float, float | None, list[dict[str, Any]]]]) -> Figure:
     """Figs. 5, 9, 13: largest multipliers against the spin rate, and enlarged near the claim.
 
     Parameters
@@ -166,7 +169,7 @@ def multipliers(curves):
     return figure
 
 
-def critical_rates(scans, claims):
+def critical_rates(scans: dict[str, list[dict[str, Any]]], claims: dict[str, float]) -> Figure:
     """Critical rate against damping: monodromy and simulation beside the paper's claims.
 
     Parameters

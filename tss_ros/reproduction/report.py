@@ -5,6 +5,9 @@ Written from the numbers of `claims`; the sentences beside the pictures say what
 
 import base64
 import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from markdown_it import MarkdownIt
 
@@ -18,7 +21,7 @@ table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #bbb;padding:
 text-align:left;vertical-align:top}img{max-width:100%}"""
 
 
-def table_1(damping):
+def table_1(damping: float) -> list[tuple[str, str, str, str]]:
     """Rows of Table 1: significance, symbol, the paper's value, the value used here."""
     of = claims.system("three_star", damping)
     stiffness = of.axial_stiffness_n[0]
@@ -34,7 +37,7 @@ def table_1(damping):
     ]
 
 
-def html(markdown_text, folder):
+def html(markdown_text: str, folder: Path) -> str:
     """One self-contained page: the pictures named in the text are put into it."""
 
     def embed(match):
@@ -47,7 +50,7 @@ def html(markdown_text, folder):
     return f"<!DOCTYPE html><html lang=en>{head}<body>\n{body}</body></html>\n"
 
 
-def markdown(result, damping):
+def markdown(result: Callable[[str], Any], damping: float) -> str:
     """The report's text.
 
     Parameters

@@ -12,11 +12,12 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from tss_ros.bags.recording import read_bag
+from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.reproduction import claims, loose_tolerance, paper_figures, report, verdicts
 from tss_ros.runs.processes import record, run_command, watched_nodes
 
@@ -120,7 +121,7 @@ class Workshop:
         Signals that came in; the work ends at the first.
     """
 
-    def __init__(self, output, caught):
+    def __init__(self, output: Path, caught: list[int]) -> None:
         self._output, self._caught = output, caught
         sources = sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.yaml")])
         digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources))
@@ -129,12 +130,12 @@ class Workshop:
             folder.mkdir(parents=True, exist_ok=True)
 
     @property
-    def damping(self):
+    def damping(self) -> float:
         """The damping [N s/m] identified from the claim for Table 1."""
         return self.result("damping")["three_star"]["damping"]
 
-    def make(self, items):
-        """Make every item that is not done, in order, and tell how far things are."""
+    def make(self, items: Sequence[str]) -> None:
+        """Make every item that is not done, in order, and print how far things are."""
         begun = time.monotonic()
         for count, item in enumerate(items, 1):
             if self._caught:
@@ -150,15 +151,15 @@ class Workshop:
             print(f" {spent}", flush=True)
         print(f"all done in {time.monotonic() - begun:.0f} s: {os.path.relpath(self._output)}")
 
-    def result(self, item):
+    def result(self, item: str) -> Any:
         """The numbers of an item that is done."""
         return json.loads(self._file(item).read_text(encoding="utf-8"))["result"]
 
-    def recording(self, motion):
+    def recording(self, motion: str) -> Recording:
         """The Recording of one of `claims.MOTIONS`."""
         return read_bag(self._bag(motion))
 
-    def write(self, path, content):
+    def write(self, path: Path, content: str | bytes) -> None:
         """Write a whole file, or none."""
         content = content.encode() if isinstance(content, str) else content
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
@@ -286,7 +287,7 @@ class Workshop:
         return names
 
 
-def plan(figures):
+def plan(figures: Sequence[int]) -> list[str]:
     """Items to make, in order, for some figures, or for all and the report where none is given."""
     items = ["damping"]
     for number in figures or FIGURES:
@@ -298,7 +299,7 @@ def plan(figures):
     return list(dict.fromkeys(items))
 
 
-def make(output, figures, caught):
+def make(output: Path, figures: Sequence[int], caught: list[int]) -> None:
     """Make the figures, and the report when all are asked for.
 
     Parameters
@@ -325,7 +326,7 @@ def make(output, figures, caught):
         print(os.path.relpath(output / "reproduction.html"))
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `reproduce`.
 
     Returns

@@ -1,6 +1,8 @@
 """A verdict on every claim of the paper, as rows of a table, from the numbers of `claims`."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 from tss_ros.reproduction import claims
 
@@ -23,7 +25,7 @@ WHERE = {
 }
 
 
-def claim_rows(result, damping):
+def claim_rows(result: Callable[[str], Any], damping: float) -> list[tuple[str, ...]]:
     """Rows of the claims' table, two kinds: critical rates, and fates of disturbed motions."""
     rows = []
     for name, claimed in claims.CRITICAL.items():
@@ -161,7 +163,7 @@ def _trend_row(result, damping):
     )
 
 
-def critical(boundaries):
+def critical(boundaries: list[list]) -> float | None:
     """The rate, of `claims.boundaries`, down to which the slowest stable range reaches."""
     last = max((i for i, (_, _, side) in enumerate(boundaries) if side > 0), default=-1)
     return min((rate for rate, _, side in boundaries[last + 1 :] if side < 0), default=None)
@@ -188,16 +190,16 @@ def _outcome(seen):
     )
 
 
-def rate(value):
+def rate(value: float) -> str:
     """A clockwise rate that was given, by its size."""
     return str(abs(value))
 
 
-def found_rate(value):
+def found_rate(value: float | None) -> str:
     """A clockwise rate that was found, by its size; a dash for none."""
     return "–" if value is None else f"{abs(value):.3f}"
 
 
-def percent(fraction):
+def percent(fraction: float) -> str:
     """Two digits or more, and a sign."""
     return f"{100 * fraction:{'.0f' if fraction > 0.1 else '.2g'}} %"

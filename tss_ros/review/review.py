@@ -8,13 +8,15 @@ import sys
 import tempfile
 import time
 import webbrowser
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from PIL import Image
 
-from tss_ros.bags.recording import read_bag
+from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import TssError
 from tss_ros.review import viewer
 from tss_ros.review.scene import APPLICATION, Scene, layout
@@ -39,12 +41,12 @@ class LiveReview:
         If there is no screen for a viewer, or none answers.
     """
 
-    def __init__(self, url=None):
+    def __init__(self, url: str | None = None) -> None:
         self._url = url or viewer.on_screen().url
         self._stream = self._scene = None
         self.begin()
 
-    def begin(self):
+    def begin(self) -> None:
         """Show what comes next as a run of its own."""
         if self._stream:
             self.close()
@@ -52,7 +54,7 @@ class LiveReview:
         viewer.connect(self._stream, self._url)
         self._scene = None
 
-    def show(self, recording):
+    def show(self, recording: Recording) -> None:
         """Show some steps in one go, which follow those shown before."""
         first = self._scene is None
         if first:
@@ -61,7 +63,7 @@ class LiveReview:
         if first:
             self._lay_out()
 
-    def show_stability(self, results):
+    def show_stability(self, results: Iterable[Any]) -> None:
         """Show messages FloquetResult beside the motion, instead of those shown before."""
         first = not self._scene.has_stability
         self._scene.send_stability(results)
@@ -71,14 +73,14 @@ class LiveReview:
     def _lay_out(self):
         self._stream.send_blueprint(layout([self._scene], [VIEW_TITLE]))
 
-    def close(self):
+    def close(self) -> None:
         """Send what is left, within about a second, and let go of the viewer."""
         with contextlib.suppress(RuntimeError):  # a viewer that the user closed takes nothing more
             self._stream.flush(timeout_sec=1.0)
         self._stream.disconnect()
 
 
-def show(recordings, stream, names):
+def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Sequence[str]) -> None:
     """Send whole recordings to a Rerun recording stream, side by side if there are several.
 
     Parameters
@@ -97,7 +99,7 @@ def show(recordings, stream, names):
     stream.send_blueprint(layout(scenes, [VIEW_TITLE] if alone else names))
 
 
-def save(recording, path, name):
+def save(recording: Recording, path: str | Path, name: str) -> None:
     """Write a whole recording as a Rerun file, replacing one that exists.
 
     Parameters
@@ -126,7 +128,7 @@ def _save(recordings, path, names):
         raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
 
 
-def save_picture(recordings, path, names):
+def save_picture(recordings: Sequence[Recording], path: str | Path, names: Sequence[str]) -> None:
     """Draw the last step, as the viewer shows it, into a PNG file; needs no screen.
 
     Raises
@@ -139,7 +141,7 @@ def save_picture(recordings, path, names):
     _write(path, picture.save, format="PNG")
 
 
-def save_video(recordings, path, names):
+def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequence[str]) -> None:
     """Draw the whole motion into a .mp4 file (by ffmpeg) or a .gif file; needs no screen.
 
     Raises
@@ -231,7 +233,7 @@ def _send(recordings, names, url):
     stream.flush()
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable ``review``: exit status 0, 1 with one line why, or 130 when interrupted."""
     parser = argparse.ArgumentParser(
         prog="review", description="Open recordings of tethered formations in the Rerun viewer."

@@ -4,9 +4,14 @@ Satellites with labels and trails, tethers coloured by tension and grey when sla
 stability results, on the timelines `sim_time`, `milliturns` (thousandths of a turn) and `step`.
 """
 
+from collections.abc import Iterable, Sequence
+from typing import Any
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+
+from tss_ros.bags.recording import Recording
 
 APPLICATION = "tss_ros"
 #: Seconds of wall time that one turn takes when the viewer plays a recording.
@@ -47,7 +52,7 @@ class Scene:
         Entity under which all is put, ending in "/" if not empty.
     """
 
-    def __init__(self, stream, recording, root=""):
+    def __init__(self, stream: rr.RecordingStream, recording: Recording, root: str = "") -> None:
         self.root = root
         self.turn_s = recording.turn_s
         self.has_stability = False
@@ -63,7 +68,7 @@ class Scene:
         self._recent_tension_n = np.empty(0)
         self._send_static(recording)
 
-    def send(self, recording):
+    def send(self, recording: Recording) -> None:
         """Send the steps of `recording`, which follow those sent before."""
         turns = recording.turns
         curves = {
@@ -85,7 +90,7 @@ class Scene:
         if recording.stability:
             self.send_stability(recording.stability)
 
-    def send_stability(self, results):
+    def send_stability(self, results: Iterable[Any]) -> None:
         """Show messages FloquetResult as a table, instead of those sent before."""
         self.has_stability = True
         text = stability_table(results)
@@ -175,7 +180,7 @@ class Scene:
         self._log("formation/axes", axes)
 
 
-def layout(scenes, titles):
+def layout(scenes: Sequence[Scene], titles: Sequence[str]) -> rrb.Blueprint:
     """The viewer's layout: a formation with its plots beside it, or several formations in columns.
 
     Parameters
@@ -252,7 +257,7 @@ def _plot_view(scene, plot):
     )
 
 
-def stability_table(results):
+def stability_table(results: Iterable[Any]) -> str:
     """Messages FloquetResult as a Markdown table, by rate."""
     rows = ["| rate/Omega | max modulus | of shape and tilt | verdict |", "|---:|---:|---:|---|"]
     for r in sorted(results, key=lambda result: result.spin_rate_ratio):

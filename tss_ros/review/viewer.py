@@ -5,9 +5,11 @@ import os
 import socket
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import rerun as rr
 import rerun_cli
 from rerun.experimental import ViewerClient
 
@@ -37,7 +39,7 @@ class Viewer:
         If it does not start.
     """
 
-    def __init__(self, *options):
+    def __init__(self, *options: str) -> None:
         port = free_port()
         self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         # The viewer itself, not the Python script around it, which would not pass signals on.
@@ -64,7 +66,7 @@ class Viewer:
                 raise TssError(f"the Rerun viewer did not answer within {START_S:g} s")
             time.sleep(0.05)
 
-    def wait(self):
+    def wait(self) -> None:
         """Return when the user has closed it; if this is interrupted, close it."""
         try:
             if self.process.wait():
@@ -72,13 +74,13 @@ class Viewer:
         finally:
             self.close()
 
-    def close(self):
+    def close(self) -> None:
         """End it."""
         self.process.terminate()
         self.process.wait()
 
 
-def on_screen():
+def on_screen() -> Viewer:
     """A viewer in a window, which stays open when this process ends.
 
     Raises
@@ -94,7 +96,7 @@ def on_screen():
     return Viewer()
 
 
-def in_browser():
+def in_browser() -> tuple[Viewer, str]:
     """A server for browsers on this machine, and the address of its page."""
     port = free_port()
     viewer = Viewer("--serve-web", "--web-viewer-port", str(port), "--server-memory-limit", "50%")
@@ -102,7 +104,7 @@ def in_browser():
 
 
 @contextlib.contextmanager
-def unseen(file, width, height):
+def unseen(file: Path, width: int, height: int) -> Iterator[ViewerClient]:
     """A viewer without a window that has loaded a Rerun file: yields its control.
 
     Parameters
@@ -136,7 +138,7 @@ def unseen(file, width, height):
             viewer.close()
 
 
-def connect(stream, url):
+def connect(stream: rr.RecordingStream, url: str) -> None:
     """Connect, after making sure that somebody listens: Rerun itself would wait in silence.
 
     Raises
@@ -155,7 +157,7 @@ def connect(stream, url):
         ) from error
 
 
-def free_port():
+def free_port() -> int:
     """A port on which nobody listens."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         return free.getsockname()[1]

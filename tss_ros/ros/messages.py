@@ -6,11 +6,11 @@ import math
 import platform
 import sys
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, TransformStamped
+from geometry_msgs.msg import Point
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
@@ -28,10 +28,11 @@ from tss_interfaces.msg import (
 )
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tss_ros import core
 from tss_ros.scenarios.scenario import read_text
 
-#: The orbit frame, and the frame at rest in the Earth's centre whose axes it has at time 0.
-FRAME_ID, INERTIAL_FRAME_ID = "orbit", "inertial"
+#: Name of the orbit frame.
+FRAME_ID = "orbit"
 #: Fields of the bead cloud, all float32.
 CLOUD_FIELDS = ("x", "y", "z", "deviation", "speed_m_s")
 #: Sizes of what viewers draw, over the mean tether length between two satellites.
@@ -46,26 +47,26 @@ TENSION_SCALE = np.column_stack(
 )
 
 
-def stamp(time_ns):
+def stamp(time_ns: int) -> Time:
     """Simulation time [ns] as builtin_interfaces/Time."""
     return Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)
 
 
-def clock(time_ns):
+def clock(time_ns: int) -> Clock:
     """The message of /clock."""
     return Clock(clock=stamp(time_ns))
 
 
 def system_description(
-    system,
-    spin_rate_ratio,
-    reference_radius_m,
-    options,
-    run=0,
-    first_step=0,
-    time_ns=0,
-    frame_id=FRAME_ID,
-):
+    system: core.System,
+    spin_rate_ratio: float,
+    reference_radius_m: np.ndarray,
+    options: dict[str, Any],
+    run: int = 0,
+    first_step: int = 0,
+    time_ns: int = 0,
+    frame_id: str = FRAME_ID,
+) -> SystemDescription:
     """What stays the same during a run.
 
     Parameters
@@ -116,26 +117,77 @@ def system_description(
     )
 
 
-def simulation_state(state):
+def simulation_state(state: int) -> SimulationState:
     """A state, by its number, as a message."""
     return SimulationState(state=int(state))
 
 
-def result(code, text):
+def result(code: int, text: str) -> Result:
     """What became of a request, as a message."""
     return Result(result=int(code), error_message=text)
 
 
-def simulation_event(time_ns, step, run, kind, text, frame_id):
-    """What was done to the motion from outside."""
+def simulation_event(
+    time_ns: int, step: int, run: int, kind: str, text: str, frame_id: str
+) -> SimulationEvent:
+    """What was done to the motion from outside.
+
+    Parameters
+    ----------
+    time_ns : int
+        Simulation time [ns] of the step.
+    step, run : int
+        Of the first state after it.
+    kind : str
+        "reset", "restore" or "disturb".
+    text : str
+        What was done, in words.
+    frame_id : str
+        Name of the orbit frame.
+
+    Returns
+    -------
+    SimulationEvent
+    """
     header = Header(stamp=stamp(time_ns), frame_id=frame_id)
     return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
 
 
 def simulation_status(
-    wall_ns, state, time_ns, step, run, time_scale, real_time_factor, step_cost_s, message
-):
-    """How the simulator is doing; times in ns, `state` by its number."""
+    wall_ns: int,
+    *,
+    state: int,
+    time_ns: int,
+    step: int,
+    run: int,
+    time_scale: float,
+    real_time_factor: float,
+    step_cost_s: float,
+    message: str,
+) -> SimulationStatus:
+    """How the simulator is doing.
+
+    Parameters
+    ----------
+    wall_ns : int
+        Wall time [ns].
+    state : int
+        Number of the state, as in SimulationState.
+    time_ns : int
+        Simulation time [ns] of the newest step.
+    step, run : int
+        Of the newest step.
+    time_scale, real_time_factor : float
+        Simulated seconds per wall second, wanted and reached [-].
+    step_cost_s : float
+        Wall time per step [s].
+    message : str
+        Why the motion cannot be continued; "" if it can.
+
+    Returns
+    -------
+    SimulationStatus
+    """
     return SimulationStatus(
         stamp=stamp(wall_ns),
         state=simulation_state(state),
@@ -147,107 +199,6 @@ def simulation_status(
         step_cost_s=step_cost_s,
         message=message,
     )
-
-
-def diagnostics(name, status, slack, recorders):
-    """Diagnostics of a simulator.
-
-    Parameters
-    ----------
-    name : str
-        Fully qualified name of the node.
-    status : SimulationStatus
-    slack : sequence of str
-        Names of the tethers that are slack.
-    recorders : dict of str to (int, int)
-        By output: steps that each recorder is behind, and messages it has lost.
-
-    Returns
-    -------
-    diagnostic_msgs.msg.DiagnosticArray
-    """
-    playing = status.state.state == SimulationState.STATE_PLAYING
-    if status.message:
-        motion = DiagnosticStatus.ERROR, status.message
-    elif playing and status.real_time_factor < 0.9 * status.time_scale:
-        motion = DiagnosticStatus.WARN, "slower than time_scale asks for"
-    else:
-        names = {SimulationState.STATE_STOPPED: "stopped", SimulationState.STATE_PAUSED: "paused"}
-        motion = DiagnosticStatus.OK, names.get(status.state.state, "playing")
-    lost = sum(lost for _, lost in recorders.values())
-    recording = (
-        (DiagnosticStatus.WARN, f"{lost} messages were lost")
-        if lost
-        else (DiagnosticStatus.OK, "recording" if recorders else "no recorder")
-    )
-    tethers = (
-        (DiagnosticStatus.WARN, f"{len(slack)} slack")
-        if slack
-        else (DiagnosticStatus.OK, "all taut")
-    )
-    tasks = {
-        "motion": (
-            motion,
-            {
-                "real-time factor": f"{status.real_time_factor:.4g}",
-                "time_scale": f"{status.time_scale:.4g}",
-                "step cost [ms]": f"{1e3 * status.step_cost_s:.4g}",
-                "step": str(status.step),
-                "run": str(status.run),
-            },
-        ),
-        "tethers": (tethers, {"slack": ", ".join(slack)}),
-        "recorders": (
-            recording,
-            {
-                output: f"{behind} steps behind, {lost} messages lost"
-                for output, (behind, lost) in recorders.items()
-            },
-        ),
-    }
-    return DiagnosticArray(
-        header=Header(stamp=status.stamp),
-        status=[
-            DiagnosticStatus(
-                name=f"{name}: {task}",
-                hardware_id=name,
-                level=level,
-                message=text,
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-            for task, ((level, text), values) in tasks.items()
-        ],
-    )
-
-
-def transforms(system, time_ns, position_m, prefix=""):
-    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
-
-    Parameters
-    ----------
-    system : System
-    time_ns : int
-    position_m : ndarray, shape (n, 3)
-    prefix : str
-
-    Returns
-    -------
-    list of geometry_msgs.msg.TransformStamped
-        n + 1 of them. The orbit frame turns about z with the orbital rate, y pointing away from the
-        Earth; beads have no attitude.
-    """
-    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
-    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
-    names = [FRAME_ID, *system.bead_name]
-    header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
-    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
-    frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
-    frames[0].transform.rotation.z = math.sin(angle / 2.0)
-    frames[0].transform.rotation.w = math.cos(angle / 2.0)
-    for frame, (x, y, z) in zip(frames, [centre_m.tolist(), *position_m.tolist()]):
-        place = frame.transform.translation
-        place.x, place.y, place.z = x, y, z
-    return frames
 
 
 class StepMessages:
@@ -262,7 +213,9 @@ class StepMessages:
         Name of the orbit frame.
     """
 
-    def __init__(self, system, tension_n, frame_id=FRAME_ID):
+    def __init__(
+        self, system: core.System, tension_n: np.ndarray, frame_id: str = FRAME_ID
+    ) -> None:
         self._header = Header(frame_id=frame_id)
         self._bead_states = BeadStates(header=self._header, name=list(system.bead_name))
         self._tether_states = TetherStates(header=self._header, name=list(system.tether_name))
@@ -283,8 +236,15 @@ class StepMessages:
         self._make_markers(system)
         self._full_scale_n = 2.0 * max(tension_n.max(), sys.float_info.min)
 
-    def bead_states(self, step, time_ns, position_m, velocity_m_s, deviation):
-        """BeadStates from arrays of shapes (n, 3), (n, 3) and (n,)."""
+    def bead_states(
+        self,
+        step: int,
+        time_ns: int,
+        position_m: np.ndarray,
+        velocity_m_s: np.ndarray,
+        deviation: np.ndarray,
+    ) -> BeadStates:
+        """BeadStates from positions [m] and velocities [m/s], (n, 3), and deviations [-], (n,)."""
         message = self._bead_states
         self._header.stamp = stamp(time_ns)
         message.step = step
@@ -293,8 +253,10 @@ class StepMessages:
         message.deviation = _doubles(deviation)
         return message
 
-    def tether_states(self, step, time_ns, length_m, tension_n, taut):
-        """TetherStates from arrays of shape (m,)."""
+    def tether_states(
+        self, step: int, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> TetherStates:
+        """TetherStates from lengths [m], tensions [N] and whether taut, each of shape (m,)."""
         message = self._tether_states
         self._header.stamp = stamp(time_ns)
         message.step = step
@@ -303,7 +265,9 @@ class StepMessages:
         message.taut = taut.tolist()
         return message
 
-    def tether_lengths(self, time_ns, length_m, tension_n):
+    def tether_lengths(
+        self, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray
+    ) -> JointState:
         """JointState: position is the length [m], effort the tension [N]."""
         message = self._tether_lengths
         self._header.stamp = stamp(time_ns)
@@ -311,7 +275,9 @@ class StepMessages:
         message.effort = _doubles(tension_n)
         return message
 
-    def bead_cloud(self, time_ns, position_m, velocity_m_s, deviation):
+    def bead_cloud(
+        self, time_ns: int, position_m: np.ndarray, velocity_m_s: np.ndarray, deviation: np.ndarray
+    ) -> PointCloud2:
         """PointCloud2 with `CLOUD_FIELDS` for every bead."""
         message = self._bead_cloud
         self._header.stamp = stamp(time_ns)
@@ -320,12 +286,16 @@ class StepMessages:
         message.data = array.array("B", points.tobytes())
         return message
 
-    def clearing_markers(self, time_ns, position_m, tension_n, taut):
+    def clearing_markers(
+        self, time_ns: int, position_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> MarkerArray:
         """The same as `markers`, after taking away what was drawn for another system."""
         markers = self.markers(time_ns, position_m, tension_n, taut).markers
         return MarkerArray(markers=[Marker(header=self._header, action=Marker.DELETEALL), *markers])
 
-    def markers(self, time_ns, position_m, tension_n, taut):
+    def markers(
+        self, time_ns: int, position_m: np.ndarray, tension_n: np.ndarray, taut: np.ndarray
+    ) -> MarkerArray:
         """MarkerArray: satellites and beads as spheres, tethers as lines coloured by tension."""
         self._header.stamp = stamp(time_ns)
         for point, (x, y, z) in zip(self._points, position_m.tolist()):
@@ -368,7 +338,9 @@ class StepMessages:
         return marker
 
 
-def floquet_result(result, confirmation=None):
+def floquet_result(
+    result: core.FloquetResult, confirmation: core.Confirmation | None = None
+) -> FloquetResult:
     """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
     return FloquetResult(
         multiplier_real=_doubles(result.multiplier.real),
@@ -382,7 +354,9 @@ def floquet_result(result, confirmation=None):
     )
 
 
-def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
+def failed_floquet_result(
+    spin_rate_ratio: float, spin_rate_rad_s: float, message: str
+) -> FloquetResult:
     """The message for a rate that could not be computed: NaN wherever there is no number."""
     kinds = FloquetResult.get_fields_and_field_types()
     unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
@@ -390,7 +364,7 @@ def failed_floquet_result(spin_rate_ratio, spin_rate_rad_s, message):
     return FloquetResult(message=message, **{**unknown, **known})
 
 
-def critical_rate(rate):
+def critical_rate(rate: core.CriticalRate) -> CriticalRate:
     """A core CriticalRate as a message; all fields have the same names."""
     return _same_fields(CriticalRate, rate)
 

@@ -5,6 +5,8 @@ import signal
 import sys
 import threading
 import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -16,6 +18,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, a
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.service import Service
 
 from tss_ros.core import TssError
 
@@ -35,13 +39,15 @@ class TssNode(Node):
     No request to a service ends it, those of the parameters included.
     """
 
-    def start(self):
+    def start(self) -> None:
         """Begin the work; the executor spins next."""
 
-    def stop(self):
+    def stop(self) -> None:
         """End the work within a second; called once, before the node is destroyed."""
 
-    def create_service(self, srv_type, srv_name, callback, **options):
+    def create_service(
+        self, srv_type: type, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Service:
         """Offer a service whose mistakes are logged, and refused where its type can say so."""
 
         async def answer(request, response):
@@ -68,7 +74,7 @@ class TssNode(Node):
         chosen = answer_each if srv_type is SetParameters else answer
         return super().create_service(srv_type, srv_name, chosen, **options)
 
-    def set_parameters_atomically(self, parameter_list):
+    def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> SetParametersResult:
         """Set parameters together; unlike rclpy's own, refuse the empty name as well."""
         for parameter in parameter_list:
             if not self.has_parameter(parameter.name):
@@ -79,11 +85,11 @@ class TssNode(Node):
     def _log_failure(self, service):
         self.get_logger().error(f"{service} failed: {traceback.format_exc()}")
 
-    def every(self, period_s, callback):
+    def every(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call back each `period_s` of wall time, whatever time the node follows."""
         self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def finish(self, error=None):
+    def finish(self, error: Exception | None = None) -> None:
         """End the process, from any thread: with status 0, or by `error` with status 1."""
 
         def leave():
@@ -92,11 +98,11 @@ class TssNode(Node):
         self.executor.create_task(leave)
 
 
-def run(node_class):
-    """Run a node until it finishes or is told to stop, and end the process.
+def run(node_class: Callable[[], TssNode]) -> NoReturn:
+    """Run a node until it finishes or a signal stops it, and end the process.
 
-    The exit status is 0 when the node finished or got SIGINT or SIGTERM. What a user can put right
-    is told in one line, with status 1.
+    The exit status is 0 when the node finished or got SIGINT or SIGTERM. An error that a user can
+    put right is printed in one line, and the exit status is 1.
 
     Parameters
     ----------
@@ -131,13 +137,13 @@ def run(node_class):
         if rclpy.ok() or not told_to_stop.wait(HANDLER_DELAY_S):
             if not isinstance(error, USER_ERRORS):
                 raise
-            status = _tell(name, error)
+            status = _print_error(name, error)
     finally:
         if node is not None:
             try:
                 node.stop()
             except USER_ERRORS as error:
-                status = _tell(name, error)
+                status = _print_error(name, error)
             node.destroy_node()
         rclpy.try_shutdown()
     # Neither a thread in a long computation, which nothing can interrupt, nor the seconds that the
@@ -147,7 +153,7 @@ def run(node_class):
     os._exit(status)
 
 
-def _tell(name, error):
+def _print_error(name, error):
     """Say in one line what is wrong, without rcl's source positions, and return the exit status."""
     text = " ".join(str(error).split()).split(", at /")[0]
     print(f"{name}: {text.removeprefix('failed to initialize rcl: ')}", file=sys.stderr)

@@ -1,77 +1,45 @@
 """The nodes' parameters: one table for declaration, descriptors, checks and service overrides."""
 
-import array
-import math
-import numbers
-from dataclasses import dataclass, replace
+import dataclasses
+from collections.abc import Iterable, Sequence
 
+import rcl_interfaces.msg
+import rclpy.parameter
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from tss_ros.core import TssError
+from tss_ros.core import System, TssError
+from tss_ros.scenarios import parameters as scenario_parameters
 from tss_ros.scenarios import scenario
+from tss_ros.scenarios.parameters import MAX_BEADS
 
-#: Largest system, in satellites and tether beads together, that a node builds.
-MAX_BEADS = 1000
 #: When a value that is set while the node runs applies, and how its description says so.
 APPLIES = {
     "never": "Fixed when the node starts.",
     "reset": "A change applies with the next reset of the state.",
     "at once": "A change applies at once.",
 }
+#: Titles of the columns that `Parameter.row` fills.
+HEADING = ("parameter", "type", "unit", "default", "changes apply", "allowed", "meaning")
+#: Types of values, as ROS calls them.
+_ROS_TYPES = {str: "string", bool: "bool", int: "integer", float: "double"}
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter.
+@dataclasses.dataclass(frozen=True)
+class Parameter(scenario_parameters.Parameter):
+    """One parameter of a node; a default of None leaves the value to the scenario.
 
     Attributes
     ----------
-    name : str
-    type : type
-        str, bool, int or float; an int is accepted where a float is meant.
-    text : str
-        What it is, with its unit.
-    minimum, maximum : float, optional
-        Allowed range, ends included.
-    default : optional
-        None leaves the value to the scenario.
-    per_element : bool
-        Accept a list with one value per element as well as one value for all.
     applies : str
         When a change applies, one of `APPLIES`.
     """
 
-    name: str
-    type: type
-    text: str
-    minimum: float = None
-    maximum: float = None
-    default: object = None
-    per_element: bool = False
     applies: str = "never"
 
     @property
-    def allowed_value(self):
-        """What one value may be, in words."""
-        kind = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}[
-            self.type
-        ]
-        return (
-            kind
-            if self.minimum is None
-            else f"{kind} from {self.minimum:.12g} to {self.maximum:.12g}"
-        )
-
-    @property
-    def allowed(self):
-        """What is allowed, in words."""
-        return self.allowed_value + (
-            " for all, or a list with one for each" if self.per_element else ""
-        )
-
-    @property
-    def descriptor(self):
+    def descriptor(self) -> ParameterDescriptor:
         """ROS descriptor; with dynamic typing, so that `check` says what is wrong with a value."""
         unset = "" if self.default is not None else " Not set: the scenario's value."
         descriptor = ParameterDescriptor(
@@ -90,171 +58,101 @@ class Parameter:
                 descriptor.floating_point_range = [limits]
         return descriptor
 
-    def check(self, value):
-        """Return `value` as this parameter's type, or a list of it.
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What a table says of it: texts for the columns of `HEADING`."""
+        name, _, unit, default, allowed, meaning = super().row
+        kind = _ROS_TYPES[self.type]
+        if self.per_element:
+            kind = f"{kind}, or {kind}[]: one per {self.per_element}"
+        if self.default is None:
+            default = "the scenario's"
+        return name, kind, unit, default, self.applies, allowed, meaning
 
-        Raises
-        ------
-        TssError
-            Naming the parameter, the value and what is allowed.
-        """
-        if not (self.per_element and isinstance(value, (list, array.array))):
-            return self._check_one(self.name, value)
-        if not 1 <= len(value) <= MAX_BEADS:
-            raise TssError(f"{self.name} has {len(value)} elements; allowed: 1 to {MAX_BEADS}")
-        return [self._check_one(f"{self.name}[{i}]", element) for i, element in enumerate(value)]
 
-    def _check_one(self, name, value):
-        if self.type in (int, float):
-            base = numbers.Integral if self.type is int else numbers.Real
-            fits = isinstance(value, base) and not isinstance(value, bool) and math.isfinite(value)
-            fits = fits and (self.minimum is None or self.minimum <= value <= self.maximum)
-        else:
-            fits = isinstance(value, self.type)
-        if not fits:
-            shown = "nothing" if value is None else f"{value!r:.80}"
-            allowed = self.allowed if name == self.name else self.allowed_value
-            raise TssError(f"{name} is {shown}; allowed: {allowed}")
-        return self.type(value)
+def _of_scenario(applies):
+    """The scenario's parameters as those of a node, which needs none of them given."""
+    return tuple(
+        Parameter(**(vars(parameter) | {"default": None, "applies": applies}))
+        for parameter in scenario_parameters.SCENARIO
+    )
 
 
 SCENARIO = Parameter(
-    "scenario", str, "Name of a shipped scenario or path of a scenario file.", default="three_star"
+    "scenario", str, "Name of a shipped scenario or path of a scenario file", default="three_star"
 )
 
-OVERRIDES = (
-    Parameter("satellites", int, "Number of satellites.", 2, MAX_BEADS),
-    Parameter(
-        "satellite_mass_kg", float, "Mass of the satellites [kg].", 1e-3, 1e9, per_element=True
-    ),
-    Parameter(
-        "tether_length_m",
-        float,
-        "Unstretched length of the tethers [m].",
-        1e-2,
-        1e7,
-        per_element=True,
-    ),
-    Parameter("axial_stiffness_n", float, "EA of the tethers [N].", 1e-3, 1e12, per_element=True),
-    Parameter("damping_n_s_per_m", float, "C of the tethers [N s/m].", 0.0, 1e9, per_element=True),
-    Parameter(
-        "beads_per_tether", int, "Number of beads on each tether.", 0, MAX_BEADS, per_element=True
-    ),
-    Parameter("bead_mass_kg", float, "Mass of the tether beads [kg].", 1e-6, 1e9, per_element=True),
-    Parameter("orbit_altitude_m", float, "Height of the circular orbit [m].", 0.0, 1e9),
-    Parameter(
-        "spin_rate_ratio",
-        float,
-        "Spin rate over orbital rate in the orbit frame [-], not zero; negative: clockwise.",
-        -1e4,
-        1e4,
-    ),
-)
+#: What a request may override.
+OVERRIDES = _of_scenario("never")
 
 SIMULATOR = (
-    *(replace(parameter, applies="reset") for parameter in (SCENARIO, *OVERRIDES)),
+    dataclasses.replace(SCENARIO, applies="reset"),
+    *_of_scenario("reset"),
     Parameter(
-        "publish_period_s",
-        float,
-        "Simulated time between steps [s].",
-        1e-3,
-        1e5,
-        default=1.0,
-        applies="reset",
+        "publish_period_s", float, "Simulated time between steps", "s",
+        minimum=1e-3, maximum=1e5, default=1.0, applies="reset",
     ),
     Parameter(
-        "disturbance_m",
-        float,
-        "Norm over all beads of random offsets added to the initial positions [m].",
-        0.0,
-        1e5,
-        default=0.0,
-        applies="reset",
+        "disturbance_m", float,
+        "Norm over all beads of random offsets added to the initial positions", "m",
+        minimum=0.0, maximum=1e5, default=0.0, applies="reset",
     ),
     Parameter(
-        "disturbance_seed",
-        int,
-        "Seed of these offsets.",
-        0,
-        2**31 - 1,
-        default=0,
-        applies="reset",
+        "disturbance_seed", int, "Seed of these offsets",
+        minimum=0, maximum=2**31 - 1, default=0, applies="reset",
     ),
     Parameter(
-        "time_scale",
-        float,
-        "Simulated seconds per wall second; 0: as fast as a recorder can take it, losing nothing.",
-        0.0,
-        1e6,
-        default=100.0,
-        applies="at once",
+        "time_scale", float, "Simulated seconds per wall second", "-",
+        minimum=0.0, maximum=1e6, default=100.0, applies="at once",
+        note="0: as fast as a recorder can take it, losing nothing",
     ),
     Parameter(
-        "turns",
-        float,
-        "Spin turns after which the simulator ends; 0: endless.",
-        0.0,
-        1e6,
-        default=0.0,
+        "turns", float, "Spin turns after which the simulator ends", "-",
+        minimum=0.0, maximum=1e6, default=0.0, note="0: endless",
     ),
     Parameter(
-        "wait_for_recorder",
-        bool,
-        "Publish nothing until a recorder is recording and receives every recorded topic.",
+        "wait_for_recorder", bool,
+        "Publish nothing until a recorder is recording and receives every recorded topic",
         default=False,
     ),
-    Parameter("start_paused", bool, "Publish the initial state and pause there.", default=False),
+    Parameter("start_paused", bool, "Publish the initial state and pause there", default=False),
     Parameter(
-        "publish_clock",
-        bool,
-        "Publish /clock; of several simulators in one graph only one may.",
-        default=True,
+        "publish_clock", bool, "Publish /clock", default=True,
+        note="of several simulators in one graph only one may",
     ),
     Parameter(
-        "publish_tf",
-        bool,
-        "Publish the frames of the orbit and of every bead on /tf; needs tf2_msgs.",
-        default=False,
+        "publish_tf", bool, "Publish the frames of the orbit and of every bead on /tf",
+        default=False, note="needs tf2_msgs",
     ),
     Parameter(
-        "frame_prefix",
-        str,
-        "Put before the name of every frame, to tell several simulators apart.",
-        default="",
+        "frame_prefix", str,
+        "Put before the name of every frame, to tell several simulators apart", default="",
     ),
-)
+)  # fmt: skip
 
 STABILITY = (
-    Parameter("scheduler", str, "Dask cluster to sweep on; empty: this machine.", default=""),
+    Parameter(
+        "scheduler", str, "Dask cluster to sweep on", default="", note="empty: this machine"
+    ),
 )
 
 LOGGER = (
     Parameter(
-        "output",
-        str,
-        "Directory of the bag, to be made. Empty: bag_<date>_<time> where the node runs.",
-        default="",
+        "output", str, "Directory of the bag, to be made", default="",
+        note="empty: bag_<date>_<time> where the node runs",
     ),
     Parameter(
-        "split_size_mb",
-        float,
-        "Size of a file of the bag at which the next one is begun [MB]; 0: any size.",
-        0.0,
-        1e9,
-        default=1000.0,
+        "split_size_mb", float, "Size of a file of the bag at which the next one is begun", "MB",
+        minimum=0.0, maximum=1e9, default=1000.0, note="0: any size",
     ),
     Parameter(
-        "split_duration_s",
-        float,
-        "Wall time after which the next file of the bag is begun [s]; 0: never.",
-        0.0,
-        1e9,
-        default=3600.0,
+        "split_duration_s", float, "Wall time after which the next file of the bag is begun", "s",
+        minimum=0.0, maximum=1e9, default=3600.0, note="0: never",
     ),
     Parameter(
-        "rerun", bool, "Show the motion in a Rerun viewer while it is recorded.", default=False
+        "rerun", bool, "Show the motion in a Rerun viewer while it is recorded", default=False
     ),
-)
+)  # fmt: skip
 
 #: A parameters file may serve several nodes, so each knows the names of all, and ROS's own.
 _KNOWN_NAMES = {p.name for p in (*SIMULATOR, *STABILITY, *LOGGER)} | {
@@ -264,7 +162,7 @@ _KNOWN_NAMES = {p.name for p in (*SIMULATOR, *STABILITY, *LOGGER)} | {
 }
 
 
-def read_parameters(node, *tables):
+def read_parameters(node: Node, *tables: Sequence[Parameter]) -> dict[str, object]:
     """Declare the parameters of `tables` on `node` and return their checked values.
 
     Parameters
@@ -298,7 +196,11 @@ def read_parameters(node, *tables):
     return values
 
 
-def check_changes(table, values, given):
+def check_changes(
+    table: Sequence[Parameter],
+    values: dict[str, object],
+    given: Iterable[rclpy.parameter.Parameter],
+) -> dict[str, object]:
     """Check what is to be set while a node runs.
 
     Parameters
@@ -332,7 +234,7 @@ def check_changes(table, values, given):
     return changed
 
 
-def read_overrides(messages):
+def read_overrides(messages: Iterable[rcl_interfaces.msg.Parameter]) -> dict[str, object]:
     """Check overrides that came with a request.
 
     Parameters
@@ -366,7 +268,9 @@ def read_overrides(messages):
     return values
 
 
-def build_system(scenario_name, overrides, max_beads=MAX_BEADS):
+def build_system(
+    scenario_name: str, overrides: dict[str, object], max_beads: int = MAX_BEADS
+) -> tuple[System, float]:
     """Make the system of a scenario with some of its parameters overridden.
 
     Parameters

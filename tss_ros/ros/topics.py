@@ -6,15 +6,20 @@ import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from tss_ros.core import TssError
 
+#: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
+CLOCK_RATE_HZ = 200.0
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 #: Most messages that a topic may be told to keep.
@@ -42,18 +47,18 @@ class Topic:
             raise TssError(f"depth of {self.name} is {self.depth!r}; allowed: 1 or more")
 
     @property
-    def message_class(self):
+    def message_class(self) -> type:
         """The Python class of the topic's messages."""
         return message_class(self.type)
 
     @property
-    def qos(self):
+    def qos(self) -> QoSProfile:
         """The QoS of publishers and subscriptions: reliable, keeping the last `depth`."""
         durability = DurabilityPolicy.get_from_short_key(self.durability)
         return QoSProfile(depth=self.depth, durability=durability)
 
     @property
-    def offered_qos(self):
+    def offered_qos(self) -> dict[str, Any]:
         """The same as the dict that rosbag2 stores as `offered_qos_profiles`."""
         return {
             "history": "keep_last",
@@ -68,7 +73,7 @@ class Topic:
         }
 
     @property
-    def type_hash(self):
+    def type_hash(self) -> str:
         """The RIHS01 hash of the type, from the JSON file installed beside its definition."""
         described = json.loads(_interface_file(self.type, "json").read_text(encoding="utf-8"))
         return next(
@@ -76,7 +81,7 @@ class Topic:
         )
 
     @property
-    def definition(self):
+    def definition(self) -> str:
         """The type's text and, after it, that of each type it uses: MCAP's "ros2msg" schema."""
         texts, queue = {}, [self.type]
         while queue:
@@ -91,7 +96,7 @@ class Topic:
         return "\n".join([root, *parts])
 
     @property
-    def stamp_offset(self):
+    def stamp_offset(self) -> int | None:
         """Bytes from the start of a serialised message to its (first) header's stamp; None without.
 
         A CDR message starts with 4 bytes that name the encoding, a sequence with the 4 bytes of its
@@ -107,7 +112,7 @@ class Topic:
             offset, name = offset + 4, _base_type(first)
 
 
-def create_publisher(node, topic):
+def create_publisher(node: Node, topic: Topic) -> Publisher:
     """Publish a topic, with its QoS as the parameters `qos_overrides.*` of the node say.
 
     Parameters
@@ -147,7 +152,7 @@ def _check_depth(qos):
 
 
 @functools.cache
-def read_topics():
+def read_topics() -> dict[str, Topic]:
     """Read recording.yaml.
 
     Returns
@@ -168,7 +173,7 @@ def read_topics():
         raise TssError(f"{path}: {error}; see its first lines") from error
 
 
-def message_class(type_name):
+def message_class(type_name: str) -> type:
     """The Python class of "package/msg/Type"."""
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)

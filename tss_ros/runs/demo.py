@@ -5,16 +5,17 @@ import math
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from tss_ros import plots
+from tss_ros.core import TssError
 from tss_ros.review import review
+from tss_ros.runs.processes import STALL_S, record, run_command, watched_nodes
 from tss_ros.scenarios import scenario
 from tss_ros.stability_service import client
-from tss_ros.core import TssError
-from tss_ros.runs.processes import STALL_S, record, run_command, watched_nodes
 
 SCENARIO, SPIN_RATE_RATIO, TURNS = "three_star", -2.5, 8
 PUBLISH_PERIOD_S, DISTURBANCE_M, DISTURBANCE_SEED = 5.0, 10.0, 1
@@ -31,7 +32,7 @@ FILES = (
 BAG_FILES = ("bag/bag_0.mcap", "bag/metadata.yaml")
 
 
-def make(output, caught):
+def make(output: Path, caught: list[int]) -> None:
     """Run the demo, and at its end put the results into `output` instead of an earlier demo's.
 
     Parameters
@@ -165,7 +166,7 @@ def _summary(recording):
     )
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `demo`.
 
     Returns

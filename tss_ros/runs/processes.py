@@ -2,24 +2,27 @@
 
 import contextlib
 import json
-import math
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from tss_interfaces.msg import RecorderStatus
 
+from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import Cancelled, TssError
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.bags.recording import read_bag
 from tss_ros.ros.topics import read_topics
+from tss_ros.simulator.simulation import last_index
 
 #: A node that does not end this long [s] after SIGINT is killed.
 STOP_S = 5.0
@@ -39,7 +42,7 @@ class Nodes:
         Takes what the nodes print.
     """
 
-    def __init__(self, log_directory):
+    def __init__(self, log_directory: Path) -> None:
         self._log_directory = log_directory
         self._processes = {}
 
@@ -57,7 +60,7 @@ class Nodes:
                 process.kill()
                 process.wait()
 
-    def start(self, name, **parameters):
+    def start(self, name: str, **parameters: Any) -> None:
         """Start the executable `name` of this package with these ROS parameters."""
         command = [Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros" / name, "--ros-args"]
         for key, value in parameters.items():
@@ -72,17 +75,17 @@ class Nodes:
                 start_new_session=True,
             )
 
-    def check(self):
+    def check(self) -> None:
         """Raise TssError, with the last lines it printed, if a node has ended with an error."""
         for name, process in self._processes.items():
             if process.poll():
                 raise TssError(f"{name} ended with status {process.returncode}{self._tail(name)}")
 
-    def running(self, name):
+    def running(self, name: str) -> bool:
         """Whether a node has not ended yet."""
         return self._processes[name].poll() is None
 
-    def stop(self, name):
+    def stop(self, name: str) -> None:
         """End a node with SIGINT.
 
         Raises
@@ -124,7 +127,9 @@ class Watch:
         Called with this object and the caller's own progress when either moved.
     """
 
-    def __init__(self, nodes, ros_node, caught, show):
+    def __init__(
+        self, nodes: Nodes, ros_node: Node, caught: list[int], show: Callable[["Watch", int], None]
+    ) -> None:
         self._nodes, self._caught, self._show = nodes, caught, show
         self.last_step, self.messages, self.reported_s = 0, 0, 0.0
         self._done, self._state = 0, None
@@ -160,8 +165,26 @@ class Watch:
 
 
 @contextlib.contextmanager
-def watched_nodes(name, log_directory, caught, show):
-    """Nodes, a ROS node `name` in this process, and a `Watch` over them, for a `with` block."""
+def watched_nodes(
+    name: str, log_directory: Path, caught: list[int], show: Callable[[Watch, int], None]
+) -> Iterator[tuple[Nodes, Node, Watch]]:
+    """Start nodes and watch over them in a `with` block, at whose end all are gone.
+
+    Parameters
+    ----------
+    name : str
+        Of this process's own ROS node.
+    log_directory : Path
+        Takes what the nodes print.
+    caught : list of int
+        Signals that came in.
+    show : callable
+        As for `Watch`.
+
+    Yields
+    ------
+    tuple of Nodes, rclpy.node.Node and Watch
+    """
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         ros_node = rclpy.create_node(name)
@@ -171,7 +194,14 @@ def watched_nodes(name, log_directory, caught, show):
         rclpy.try_shutdown()
 
 
-def record(nodes, ros_node, watch, bag, meanwhile=None, **simulator):
+def record(
+    nodes: Nodes,
+    ros_node: Node,
+    watch: Watch,
+    bag: Path,
+    meanwhile: Callable[[], None] | None = None,
+    **simulator: Any,
+) -> Recording:
     """Simulate as fast as the recorder writes, and read the recording back.
 
     Parameters
@@ -210,16 +240,14 @@ def record(nodes, ros_node, watch, bag, meanwhile=None, **simulator):
         watch()
     nodes.stop("logger_node")
     recording = read_bag(bag)
-    turn_s = 2.0 * math.pi / abs(recording.spin_rate_ratio * recording.orbit_rate_rad_s)
-    last = simulator["turns"] * turn_s / simulator["publish_period_s"]
-    # As in the simulator: a last step may fall on the end of the last turn.
-    steps = 1 + math.floor(last * (1.0 + 1e-12))
+    duration_s = simulator["turns"] * recording.turn_s
+    steps = 1 + last_index(duration_s, simulator["publish_period_s"])
     if not np.array_equal(recording.step, np.arange(steps)):
         raise TssError(f"{len(recording.step)} of {steps} steps were recorded")
     return recording
 
 
-def run_command(name, work):
+def run_command(name: str, work: Callable[[list[int]], None]) -> int:
     """Run a command that starts nodes, and return its exit status.
 
     Parameters

@@ -18,19 +18,17 @@ any tether graph with `bodies` and `tethers`:
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.model.system import finite
+from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation")
-_PARAMETERS = (
-    "satellites", "satellite_mass_kg", "tether_length_m", "axial_stiffness_n",
-    "damping_n_s_per_m", "beads_per_tether", "bead_mass_kg", "orbit_altitude_m", "spin_rate_ratio",
-)
-_GRAPH_PARAMETERS = ("orbit_altitude_m", "spin_rate_ratio")
+_PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
 _BODY = {"name", "mass_kg", "position_m"}
 _TETHER = {"between", "length_m", "axial_stiffness_n", "damping_n_s_per_m"}
 _TETHER_OPTIONAL = {"name", "bead_mass_kg"}
@@ -59,11 +57,11 @@ class Scenario:
     _tethers: tuple = field(default=(), repr=False)
 
     @property
-    def spin_rate_ratio(self):
+    def spin_rate_ratio(self) -> float:
         """w = omega / Omega of the scenario."""
         return self.parameters["spin_rate_ratio"]
 
-    def build(self, overrides=None) -> System:
+    def build(self, overrides: dict[str, Any] | None = None) -> System:
         """Build the system, with parameters replaced.
 
         Parameters
@@ -90,20 +88,20 @@ class Scenario:
                 )
         ratio = finite("spin_rate_ratio", values.pop("spin_rate_ratio"))
         if self.formation == "graph":
-            altitude = finite("orbit_altitude_m", values.get("orbit_altitude_m", 1.0e6))
-            system = assemble(self._bodies, self._tethers, altitude)
+            options = {name: finite(name, value) for name, value in values.items()}
+            system = assemble(self._bodies, self._tethers, **options)
         else:
             system = formation(self.formation, **values)
         system.spin_rate_rad_s(ratio)
         return system
 
 
-def shipped():
+def shipped() -> tuple[str, ...]:
     """Names of the scenarios that come with the package."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
 
 
-def read_text(name_or_path):
+def read_text(name_or_path: str | Path) -> str:
     """The text of a scenario file; parameters and errors as for `load`."""
     text = str(name_or_path)
     path = _FOLDER / f"{text}.yaml" if text in shipped() else Path(text)
@@ -119,7 +117,7 @@ def read_text(name_or_path):
         raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
 
 
-def load(name_or_path):
+def load(name_or_path: str | Path) -> Scenario:
     """Read and validate a scenario.
 
     Parameters
@@ -173,8 +171,9 @@ def _parse(name, content):
             raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
         return Scenario(name, description, shape, parameters)
     bodies = [_body(i, entry) for i, entry in enumerate(_entries(content, "bodies"))]
-    names = [body.name for body in bodies]
-    tethers = [_tether(i, entry, names) for i, entry in enumerate(_entries(content, "tethers"))]
+    known_bodies = [body.name for body in bodies]
+    entries = _entries(content, "tethers")
+    tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
     return Scenario(name, description, "graph", parameters, tuple(bodies), tuple(tethers))
 
 
@@ -208,14 +207,14 @@ def _body(i, entry):
     return Satellite(str(entry["name"]), mass, place)
 
 
-def _tether(i, entry, names):
+def _tether(i, entry, known_bodies):
     where = f"tethers[{i}]"
     _check_keys(where, entry, _TETHER, _TETHER_OPTIONAL)
     between = entry["between"]
     if not isinstance(between, list) or len(between) != 2:
         raise TssError(f"{where}.between must be two body names, got {between!r}")
     for name in between:
-        if str(name) not in names:
+        if str(name) not in known_bodies:
             raise TssError(f"{where}.between: no body is named {name!r}")
     beads = entry.get("bead_mass_kg", [])
     if not isinstance(beads, list):
@@ -233,7 +232,7 @@ def _tether(i, entry, names):
 
     return Tether(
         str(entry.get("name", f"tether_{i + 1}")),
-        tuple(names.index(str(name)) for name in between),
+        tuple(known_bodies.index(str(name)) for name in between),
         per_segment("length_m", shared=True, above=0.0),
         per_segment("axial_stiffness_n", above=0.0),
         per_segment("damping_n_s_per_m", at_least=0.0),

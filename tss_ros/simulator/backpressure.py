@@ -2,7 +2,10 @@
 
 import threading
 import time
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from tss_interfaces.msg import RecorderStatus
 
 #: A recorder that says nothing for this long [s] is gone.
 SILENCE_S = 2.0
@@ -30,6 +33,19 @@ class Recorder(NamedTuple):
     joining: bool
 
 
+class Logger(Protocol):
+    """What is asked of a logger; rclpy's has it."""
+
+    def info(self, message: str, **options: Any) -> object:
+        """Log what goes as it should."""
+
+    def warning(self, message: str, **options: Any) -> object:
+        """Log what a user may want to change."""
+
+    def error(self, message: str, **options: Any) -> object:
+        """Log what has gone wrong."""
+
+
 class FlowControl:
     """What is published, and how far each recorder has come.
 
@@ -37,13 +53,13 @@ class FlowControl:
     ----------
     window : int
         Most steps that the simulator may be ahead.
-    logger : rclpy logger
-        Told when a recorder is given up.
+    logger : Logger
+        Gets a warning when a recorder is given up.
     on_change : callable
         Called, in any thread, when `ready` may have become true.
     """
 
-    def __init__(self, window, logger, on_change):
+    def __init__(self, window: int, logger: Logger, on_change: Callable[[], None]) -> None:
         self._published, self._published_at = -1, time.monotonic()
         self._window = window
         self._logger = logger
@@ -52,21 +68,21 @@ class FlowControl:
         self._lock = threading.Lock()
 
     @property
-    def published(self):
+    def published(self) -> int:
         """The newest step that is published, -1 before the first."""
         return self._published
 
     @published.setter
-    def published(self, step):
+    def published(self, step: int) -> None:
         self._published, self._published_at = step, time.monotonic()
 
     @property
-    def recorders(self):
+    def recorders(self) -> dict[str, Recorder]:
         """Copy of the recorders by output."""
         with self._lock:
             return dict(self._recorders)
 
-    def on_status(self, status):
+    def on_status(self, status: RecorderStatus) -> None:
         """Take a RecorderStatus, in any thread."""
         now, output = time.monotonic(), status.output
         with self._lock:
@@ -85,13 +101,13 @@ class FlowControl:
                 )
         self._on_change()
 
-    def on_recorders_gone(self):
+    def on_recorders_gone(self) -> None:
         """Go on without recorders, as the middleware says that the last one has left."""
         with self._lock:
             self._recorders.clear()
         self._on_change()
 
-    def ready(self, drain=False):
+    def ready(self, drain: bool = False) -> bool:
         """Whether the next step may be published; with `drain`, whether all have everything."""
         if not self._recorders:
             return True

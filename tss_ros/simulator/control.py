@@ -5,22 +5,27 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
 
+from numpy.typing import ArrayLike
+
 from tss_ros.core import IntegrationError, TssError
-from tss_ros.simulator.pacing import MAX_LAG_S, Meter
+from tss_ros.simulator.backpressure import FlowControl, Logger
+from tss_ros.simulator.pacing import MAX_LAG_S, Meter, Pace
+from tss_ros.simulator.simulation import Sample, Setup, Simulation
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000
-#: How often [s] to look whether a recorder has connected, or fallen silent.
-RECORDER_CHECK_S = 0.05
+#: How often [s] to ask `begin` whether the simulation may begin.
+BEGIN_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
 IDLE_S = 0.1
 #: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
 DRAIN_S, FINISH_S = 0.3, 10.0
 
 
-class State(enum.IntEnum):
+class PlayState(enum.IntEnum):
     """As in SimulationState."""
 
     STOPPED, PLAYING, PAUSED, QUITTING = range(4)
@@ -36,7 +41,7 @@ class Code(enum.IntEnum):
 class Refused(TssError):
     """A request that is not carried out; `code` says of what kind the reason is."""
 
-    def __init__(self, code, text):
+    def __init__(self, code: Code, text: str) -> None:
         super().__init__(text)
         self.code = code
 
@@ -54,18 +59,31 @@ class Control:
     begin : callable
         Nothing is published until it returns true.
     publish : callable
-        Called with step and Row.
+        Called with step and Sample, when the next state is due.
     on_idle : callable
         Called while it waits, at least each IDLE_S; returns how soon [s] it wants the next call.
-    logger : rclpy logger
+    logger : Logger
     play : bool
         Whether to play or to be paused at the beginning.
     batch : bool
         Whether a motion that cannot be continued is the end, as nobody is there to reset it.
     """
 
-    def __init__(self, simulation, pace, flow, wake, begin, publish, on_idle, logger, play, batch):
-        self.state = State.PLAYING if play else State.PAUSED
+    def __init__(
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        flow: FlowControl,
+        wake: threading.Event,
+        *,
+        begin: Callable[[], bool],
+        publish: Callable[[int, Sample], None],
+        on_idle: Callable[[], float],
+        logger: Logger,
+        play: bool,
+        batch: bool,
+    ) -> None:
+        self.state = PlayState.PLAYING if play else PlayState.PAUSED
         self.failure = ""
         self.step, self.run = -1, 0
         self.meter = Meter()
@@ -82,7 +100,7 @@ class Control:
 
     # --- for any thread
 
-    def request(self, work, *arguments):
+    def request(self, work: Callable[..., None], *arguments: object) -> Future:
         """Have `work(*arguments)` called in between two steps.
 
         Returns
@@ -99,27 +117,27 @@ class Control:
         self._wake.set()
         return answer
 
-    def stop(self):
+    def stop(self) -> None:
         """Make `run_until_end` return soon."""
         self._stopping = True
         self._wake.set()
 
     # --- what requests may ask for; in the simulation's thread only
 
-    def set_state(self, answer, target):
+    def set_state(self, answer: Future, target: PlayState) -> None:
         """Play, pause or quit."""
         if target == self.state:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, f"it is {target.name.lower()} already")
-        if target == State.PLAYING and self.failure:
+        if target == PlayState.PLAYING and self.failure:
             raise Refused(Code.STATE_TRANSITION_ERROR, f"{self.failure}; reset first")
         self._end_stepping(f"{target.name.lower()} was asked for")
         self.state = target
         self._pace.restart()
         answer.set_result(None)
 
-    def take_steps(self, answer, steps):
+    def take_steps(self, answer: Future, steps: int) -> None:
         """Publish so many steps of a paused simulation."""
-        if self.state != State.PAUSED:
+        if self.state != PlayState.PAUSED:
             raise Refused(
                 Code.INCORRECT_STATE, f"it is {self.state.name.lower()}; stepping needs paused"
             )
@@ -127,27 +145,38 @@ class Control:
             raise Refused(Code.INCORRECT_STATE, "another request is stepping")
         if not 1 <= steps <= MOST_STEPS:
             raise Refused(
-                Code.OPERATION_FAILED, f"steps is {steps}; allowed: a whole number from 1 to 10000"
+                Code.OPERATION_FAILED,
+                f"steps is {steps}; allowed: a whole number from 1 to {MOST_STEPS}",
             )
         if self.failure:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
         self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
 
-    def stop_and_reset(self, answer, make_setup):
+    def stop_and_reset(self, answer: Future, make_setup: Callable[[], Setup]) -> None:
         """Begin anew, and stand still there."""
-        if self.state == State.STOPPED:
+        if self.state == PlayState.STOPPED:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, "it is stopped already")
         self.reset(answer, make_setup, time=True)
-        self.state = State.STOPPED
+        self.state = PlayState.STOPPED
 
-    def reset(self, answer, make_setup, time):
-        """Begin the motion anew with `make_setup()`, unless None, and time at 0, if `time`."""
+    def reset(self, answer: Future, make_setup: Callable[[], Setup] | None, time: bool) -> None:
+        """Begin a new run.
+
+        Parameters
+        ----------
+        answer : Future
+            Of the request.
+        make_setup : callable or None
+            Makes the Setup that the motion begins anew with; None leaves the motion as it is.
+        time : bool
+            Whether time begins at 0.
+        """
         self.simulation.reset(make_setup and make_setup(), time)
         if make_setup:
             self.failure = ""
         self._begin_run(answer)
 
-    def restore(self, answer, file):
+    def restore(self, answer: Future, file: str) -> None:
         """Continue from a snapshot."""
         try:
             self.simulation.restore(file)
@@ -156,20 +185,20 @@ class Control:
         self.failure = ""
         self._begin_run(answer)
 
-    def disturb(self, answer, offset_m, velocity_m_s):
-        """Displace and push the beads."""
+    def disturb(self, answer: Future, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
+        """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         self.simulation.disturb(offset_m, velocity_m_s)
         self.failure = ""
         self._changing.append(answer)
 
-    def save(self, answer, file):
+    def save(self, answer: Future, file: str) -> None:
         """Write a snapshot."""
         self.simulation.save(file)
         answer.set_result(None)
 
     # --- the simulation's thread
 
-    def run_until_end(self):
+    def run_until_end(self) -> None:
         """Publish states until the last, or until `stop`, and let recorders have them.
 
         Raises
@@ -178,7 +207,7 @@ class Control:
             If the motion cannot be continued and `batch` is true.
         """
         try:
-            while not self._stopping and self.state != State.QUITTING:
+            while not self._stopping and self.state != PlayState.QUITTING:
                 self._wake.clear()
                 self._serve()
                 if self.simulation.at_end and not self._changing:
@@ -202,13 +231,13 @@ class Control:
 
     def _wait_s(self):
         """How long [s] until the next state may go out; 0 or less: now."""
-        playing = self.state == State.PLAYING and not self.failure
+        playing = self.state == PlayState.PLAYING and not self.failure
         hurry = self._changing or self._stepping or self.step < 0
         if not (playing or hurry):
             return math.inf
         if not self._begun:
             if not self._begin():
-                return RECORDER_CHECK_S
+                return BEGIN_CHECK_S
             self._begun = True
             self._started = time.monotonic()
         if not self.simulation.ready:
@@ -228,15 +257,15 @@ class Control:
         return wait_s
 
     def _publish_next(self):
-        begun, before_ns = time.monotonic(), self.simulation.row.time_ns
+        begun, before_ns = time.monotonic(), self.simulation.newest.time_ns
         changed = bool(self._changing) or self.step < 0
         try:
-            row = self.simulation.take()
+            sample = self.simulation.take()
         except IntegrationError as error:
             self._fail(error)
             return
         self.step += 1
-        self._publish(self.step, row)
+        self._publish(self.step, sample)
         self._flow.published = self.step
         if changed:
             self._drain_until = 0.0
@@ -246,7 +275,7 @@ class Control:
                 answer.set_result(None)
             return
         cost_s = time.monotonic() - begun + self.simulation.integration_s
-        self.meter.add((row.time_ns - before_ns) / 1e9, cost_s)
+        self.meter.add((sample.time_ns - before_ns) / 1e9, cost_s)
         if self._stepping:
             self._steps_left -= 1
             if not self._steps_left:
@@ -258,7 +287,7 @@ class Control:
             raise error
         self.failure = str(error)
         self._logger.error(f"{error}; it is paused and waits for a reset")
-        self.state = State.PAUSED
+        self.state = PlayState.PAUSED
         self._end_stepping(self.failure)
 
     def _begin_run(self, answer):
@@ -282,7 +311,7 @@ class Control:
         if self._stopping or self.step < 0:
             return
         wall_s = time.monotonic() - self._started
-        turns = self.simulation.row.time_ns / 1e9 / self.simulation.setup.turn_s
+        turns = self.simulation.newest.time_ns / 1e9 / self.simulation.setup.turn_s
         self._logger.info(
             f"{self.step + 1} steps, {turns:.2f} turns, in {wall_s:.2f} s; "
             f"tethers switched between slack and taut {self.simulation.switches} times"

@@ -17,15 +17,15 @@ class Pace:
         Simulated seconds per wall second; 0: as fast as possible.
     """
 
-    def __init__(self, time_scale):
+    def __init__(self, time_scale: float) -> None:
         self.time_scale = time_scale
         self._held_scale = None
 
-    def restart(self):
+    def restart(self) -> None:
         """Count from the next time that `wait_s` is asked about."""
         self._held_scale = None
 
-    def wait_s(self, time_s):
+    def wait_s(self, time_s: float) -> float:
         """How long [s] to wait until simulation time `time_s` is due; below 0 when it is late."""
         now, scale = time.monotonic(), self.time_scale
         if scale != self._held_scale:
@@ -37,7 +37,7 @@ class Pace:
 class Meter:
     """How fast simulation time runs and what a step costs; for any thread."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._begin()
 
@@ -46,14 +46,14 @@ class Meter:
         self._simulated_s = self._cost_s = 0.0
         self._steps = 0
 
-    def add(self, simulated_s, cost_s):
+    def add(self, simulated_s: float, cost_s: float) -> None:
         """Count one step: simulation time [s] that it took, and wall time [s]."""
         with self._lock:
             self._simulated_s += simulated_s
             self._cost_s += cost_s
             self._steps += 1
 
-    def read(self):
+    def read(self) -> tuple[float, float]:
         """Real-time factor [-] and wall time per step [s] since the last call; NaN without one."""
         with self._lock:
             factor = self._simulated_s / max(time.monotonic() - self._begun, 1e-9)

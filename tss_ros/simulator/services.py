@@ -1,6 +1,7 @@
 """The simulator's services: what they check, ask of the simulation, and answer."""
 
 import traceback
+from collections.abc import Callable
 
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -17,8 +18,9 @@ from tss_interfaces.srv import (
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
-from tss_ros.simulator.control import Code, Refused
-from tss_ros.simulator.control import State as ControlState
+from tss_ros.ros.node import TssNode
+from tss_ros.simulator.control import Code, Control, PlayState, Refused
+from tss_ros.simulator.simulation import Setup
 
 #: Largest offset [m] and change of velocity [m/s] in a Disturb request.
 MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
@@ -34,12 +36,19 @@ class SimulationServices:
     make_setup : callable
         Makes the Setup that the parameters describe.
     on_event : callable
-        Told kind and text of every change of the motion, in the simulation's thread.
+        Called with kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
         Called before every answer.
     """
 
-    def __init__(self, node, control, make_setup, on_event, on_answer):
+    def __init__(
+        self,
+        node: TssNode,
+        control: Control,
+        make_setup: Callable[[], Setup],
+        on_event: Callable[[str, str], None],
+        on_answer: Callable[[], None],
+    ) -> None:
         self._node, self._control, self._make_setup = node, control, make_setup
         self._on_event, self._on_answer = on_event, on_answer
         # Requests that wait for the simulation hold up neither each other nor anything else.
@@ -63,10 +72,10 @@ class SimulationServices:
 
     async def _set_state(self, request, response):
         target = request.state.state
-        if target == ControlState.STOPPED:
+        if target == PlayState.STOPPED:
             return await self._ask(response, self._do_stop)
-        if target in tuple(ControlState):
-            return await self._ask(response, self._control.set_state, ControlState(target))
+        if target in tuple(PlayState):
+            return await self._ask(response, self._control.set_state, PlayState(target))
         return await self._ask(response, _refuse, f"state is {target}; allowed: 0 to 3")
 
     async def _step(self, request, response):
@@ -183,7 +192,7 @@ class SimulationServices:
             )
         if seed < 0:
             raise TssError(f"seed is {seed}; allowed: a whole number from 0")
-        still = np.zeros_like(self._control.simulation.row.position_m)
+        still = np.zeros_like(self._control.simulation.newest.position_m)
         offset_m = disturbed(State(still, still), size, seed).position_m
         return offset_m, 0.0, f"all: random offsets of norm {size:g} m, seed {seed}"
 

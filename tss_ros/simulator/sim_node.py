@@ -3,24 +3,25 @@
 import math
 import threading
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
-from tss_ros.ros import messages, parameters
+from tss_ros.ros import diagnostics, frames, messages, parameters
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import create_publisher, read_topics
+from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, read_topics
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.simulation import Setup, Simulation
 
-#: /clock is published at most this often [1/s of wall time], as faster starves those who follow it,
-#: and at least this often [s], as those who come while time stands still must learn it, too.
-CLOCK_RATE_HZ, CLOCK_PERIOD_S = 200.0, 0.1
+#: /clock is published at least this often [s]: who comes while time stands still must learn it.
+CLOCK_PERIOD_S = 0.1
 #: /tf is published at most this often [1/s of wall time].
 TF_RATE_HZ = 50.0
 #: How often [s] to look whether the last recorder has left, and to report.
@@ -84,17 +85,17 @@ class SimNode(TssNode):
         self._events = []
         self._describe(0, 0)
 
-    def start(self):
+    def start(self) -> None:
         """Begin to simulate in a thread of its own."""
         self._thread = threading.Thread(target=self._simulate, daemon=True)
         self._thread.start()
 
-    def stop(self):
+    def stop(self) -> None:
         """End the simulation."""
         self._control.stop()
         self._thread.join(timeout=1.0)
 
-    def set_parameters_atomically(self, parameter_list):
+    def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> SetParametersResult:
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
@@ -163,61 +164,61 @@ class SimNode(TssNode):
             f"spin {setup.spin_rate_ratio:g} Omega, one turn {setup.turn_s:.1f} s"
         )
 
-    def _publish(self, step, row):
+    def _publish(self, step, sample):
         publisher = self._publisher
         new_run = self._run != self._control.run
         if new_run:
-            self._describe(step, row.time_ns)
+            self._describe(step, sample.time_ns)
         while self._events:
-            kind, text = self._events.pop(0)
-            publisher["simulation_events"].publish(
-                messages.simulation_event(row.time_ns, step, self._run, kind, text, self._frame_id)
-            )
-        make, time_ns = self._messages, row.time_ns
+            self._publish_event(step, sample.time_ns, *self._events.pop(0))
+        make, time_ns = self._messages, sample.time_ns
+        tethers = sample.tension_n, sample.taut
         publisher["tether_states"].publish(
-            make.tether_states(step, time_ns, row.length_m, row.tension_n, row.taut)
+            make.tether_states(step, time_ns, sample.length_m, *tethers)
         )
         watched = [name for name in FOR_VIEWERS if publisher[name].get_subscription_count()]
         if "markers" in watched:
             markers = make.clearing_markers if new_run else make.markers
-            publisher["markers"].publish(markers(time_ns, row.position_m, row.tension_n, row.taut))
+            publisher["markers"].publish(markers(time_ns, sample.position_m, *tethers))
+        beads = sample.position_m, sample.velocity_m_s, sample.deviation
         if "bead_cloud" in watched:
-            publisher["bead_cloud"].publish(
-                make.bead_cloud(time_ns, row.position_m, row.velocity_m_s, row.deviation)
-            )
+            publisher["bead_cloud"].publish(make.bead_cloud(time_ns, *beads))
         if "tether_lengths" in watched:
             publisher["tether_lengths"].publish(
-                make.tether_lengths(time_ns, row.length_m, row.tension_n)
+                make.tether_lengths(time_ns, sample.length_m, sample.tension_n)
             )
         # Last, so that a recorder that has got this one has got the whole step.
-        publisher["bead_states"].publish(
-            make.bead_states(step, time_ns, row.position_m, row.velocity_m_s, row.deviation)
-        )
-        self._publish_frames(row)
+        publisher["bead_states"].publish(make.bead_states(step, time_ns, *beads))
+        self._publish_frames(sample)
         self._keep_clock()
         if time.monotonic() - self._progress > PROGRESS_PERIOD_S:
             self._progress = time.monotonic()
             turns = time_ns / 1e9 / self._control.simulation.setup.turn_s
             self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
 
-    def _publish_frames(self, row):
+    def _publish_event(self, step, time_ns, kind, text):
+        self._publisher["simulation_events"].publish(
+            messages.simulation_event(time_ns, step, self._run, kind, text, self._frame_id)
+        )
+
+    def _publish_frames(self, sample):
         if "/tf" not in self._publisher or time.monotonic() < self._tf_due:
             return
         self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
-        frames = messages.transforms(
+        transforms = frames.transforms(
             self._control.simulation.setup.system,
-            row.time_ns,
-            row.position_m,
+            sample.time_ns,
+            sample.position_m,
             self._options["frame_prefix"],
         )
         publisher = self._publisher["/tf"]
-        publisher.publish(publisher.msg_type(transforms=frames))
+        publisher.publish(publisher.msg_type(transforms=transforms))
 
     def _keep_clock(self):
         """Publish /clock if it may and should be; return how soon [s] to look again."""
         if "/clock" not in self._publisher or self._control.step < 0:
             return CLOCK_PERIOD_S
-        now, time_ns = time.monotonic(), self._control.simulation.row.time_ns
+        now, time_ns = time.monotonic(), self._control.simulation.newest.time_ns
         wait_s = self._clock_due - now
         if time_ns == self._clock_ns:
             wait_s += CLOCK_PERIOD_S
@@ -238,28 +239,29 @@ class SimNode(TssNode):
         self._report_status()
 
     def _report_status(self):
-        control = self._control
+        control, (real_time_factor, step_cost_s) = self._control, self._measured
         self._status = messages.simulation_status(
             time.time_ns(),
-            control.state,
-            control.simulation.row.time_ns,
-            max(control.step, 0),
-            control.run,
-            self._pace.time_scale,
-            *self._measured,
-            control.failure,
+            state=control.state,
+            time_ns=control.simulation.newest.time_ns,
+            step=max(control.step, 0),
+            run=control.run,
+            time_scale=self._pace.time_scale,
+            real_time_factor=real_time_factor,
+            step_cost_s=step_cost_s,
+            message=control.failure,
         )
         self._publisher["simulation_status"].publish(self._status)
 
     def _report_diagnostics(self):
         simulation = self._control.simulation
-        names, row = simulation.setup.system.tether_name, simulation.row
+        names, sample = simulation.setup.system.tether_name, simulation.newest
         published = self._flow.published
         self._publisher["/diagnostics"].publish(
-            messages.diagnostics(
+            diagnostics.of_simulator(
                 self.get_fully_qualified_name(),
                 self._status,
-                [names[i] for i in np.flatnonzero(~row.taut) if i < len(names)],
+                [names[i] for i in np.flatnonzero(~sample.taut) if i < len(names)],
                 {
                     output: (published - recorder.step, recorder.lost)
                     for output, recorder in self._flow.recorders.items()
@@ -270,10 +272,10 @@ class SimNode(TssNode):
 
 def _system_of(options):
     """Scenario and overrides among the options."""
-    names = [parameter.name for parameter in parameters.OVERRIDES]
-    return options["scenario"], {name: options[name] for name in names if name in options}
+    overrides = (parameter.name for parameter in parameters.OVERRIDES)
+    return options["scenario"], {name: options[name] for name in overrides if name in options}
 
 
-def main():
+def main() -> None:
     """Executable `sim_node`."""
     run(SimNode)

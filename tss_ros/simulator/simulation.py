@@ -5,10 +5,12 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tss_ros.core import (
     Propagator,
@@ -21,7 +23,7 @@ from tss_ros.core import (
     tether_state,
 )
 from tss_ros.simulator import snapshot
-from tss_ros.simulator.snapshot import Checkpoint
+from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
@@ -57,8 +59,19 @@ class Setup:
     tension_n: np.ndarray
 
     @classmethod
-    def of(cls, options, system, spin_rate_ratio):
+    def of(cls, options: dict[str, Any], system: System, spin_rate_ratio: float) -> "Setup":
         """Find the initial configuration, Eqs. (50)-(54), and disturb it.
+
+        Parameters
+        ----------
+        options : dict
+            The simulator's parameters, by name.
+        system : System
+        spin_rate_ratio : float
+
+        Returns
+        -------
+        Setup
 
         Raises
         ------
@@ -76,17 +89,17 @@ class Setup:
         )
 
     @property
-    def publish_period_s(self):
+    def publish_period_s(self) -> float:
         """[s] simulated time between steps."""
         return self.options["publish_period_s"]
 
     @property
-    def turn_s(self):
+    def turn_s(self) -> float:
         """[s] duration of one spin turn."""
         return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
 
     @property
-    def identity(self):
+    def identity(self) -> dict[str, np.ndarray]:
         """Everything that must be equal for a snapshot to fit, by name."""
         names = [f.name for f in dataclasses.fields(System) if f.name != "layout_m"]
         values = {name: np.array(getattr(self.system, name)) for name in names}
@@ -95,10 +108,28 @@ class Setup:
         return values
 
 
-class Row(NamedTuple):
-    """One state: time [ns]; per bead positions [m], velocities [m/s] and deviation [-]; per tether.
+def last_index(duration_s: float, period_s: float) -> int:
+    """Index of the last state in a time [s], where state 0 is at its beginning.
 
-    Shapes (n, 3), (n, 3), (n,) and, for length [m], tension [N] and taut, (m,).
+    A state that falls on its end counts, whatever rounding does.
+    """
+    return math.floor(duration_s / period_s * (1.0 + 1e-12))
+
+
+class Sample(NamedTuple):
+    """One state of a motion, in the orbit frame.
+
+    Attributes
+    ----------
+    time_ns : int
+        Simulation time [ns].
+    position_m, velocity_m_s : ndarray, shape (n, 3)
+        Of every bead.
+    deviation : ndarray, shape (n,)
+        Eq. (53) [-].
+    length_m, tension_n : ndarray, shape (m,)
+        Of every tether segment.
+    taut : ndarray, shape (m,), bool
     """
 
     time_ns: int
@@ -111,6 +142,8 @@ class Row(NamedTuple):
 
 
 class _Chunk(NamedTuple):
+    """States integrated in one go: Samples without their time, the end, wall time taken [s]."""
+
     rows: list
     end: Checkpoint
     wall_s: float
@@ -130,7 +163,7 @@ class _Trajectory:
         self._pool = ThreadPoolExecutor(max_workers=1)
         self._rows, self._future = deque(), None
         self._count = 1
-        self._before = self._after = self._checkpoint(0)
+        self._before = self._after = make_checkpoint(self._propagator, 0)
         self.index = -1
         self.wall_s_per_step = math.nan
         self.last = math.inf
@@ -147,7 +180,7 @@ class _Trajectory:
         return bool(self._rows) or (self._future is not None and self._future.done())
 
     def take(self):
-        """The next state, as a Row without its time; waits for it when it must.
+        """The next state, as the fields of a Sample but its time; waits for it when it must.
 
         Raises
         ------
@@ -179,8 +212,7 @@ class _Trajectory:
 
     def resume(self, checkpoint):
         """Put the integrator where a checkpoint was made, before anything is taken."""
-        for array, kept in zip(self._propagator._motion, checkpoint.arrays.values()):
-            array[...] = kept
+        resume(self._propagator, checkpoint)
         self._before = self._after = checkpoint
 
     def close(self):
@@ -215,62 +247,58 @@ class _Trajectory:
             deviation(position_m, self._setup.reference_radius_m),
             *tether_state(self._setup.system, position_m, velocity_m_s),
         )
-        end = self._checkpoint(first + count - 1)
+        end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(list(rows), end, time.monotonic() - begun)
-
-    def _checkpoint(self, index):
-        motion = self._propagator._motion  # all that the integrator remembers
-        return Checkpoint(index, {k: array.copy() for k, array in motion._asdict().items()})
 
 
 class Simulation:
     """The motion of one system, state by state, with the changes that users may make to it.
 
-    Not for several threads at once. Every change takes effect at the newest state, `row`, and makes
-    `take` return that changed state next.
+    Not for several threads at once. Every change takes effect at the newest state, `newest`, and
+    makes `take` return that changed state next.
 
     Parameters
     ----------
     setup : Setup
     turns : float
-        Spin turns after which it ends; 0: when time cannot be told any more.
+        Spin turns after which it ends; 0: when `MAX_TIME_S` is reached.
     on_ready : callable
         Called, in any thread, when states have become ready.
     """
 
-    def __init__(self, setup, turns, on_ready):
+    def __init__(self, setup: Setup, turns: float, on_ready: Callable[[], None]) -> None:
         self._turns, self._on_ready = turns, on_ready
         self._trajectory = None
         self._begin(setup, setup.start, 0)
 
     @property
-    def ready(self):
+    def ready(self) -> bool:
         """Whether `take` returns at once."""
         return self._changed or self._trajectory.ready
 
     @property
-    def at_end(self):
-        """Whether `row` is the last."""
+    def at_end(self) -> bool:
+        """Whether `newest` is the last."""
         return not self._changed and self._trajectory.index >= self._trajectory.last
 
     @property
-    def next_time_s(self):
+    def next_time_s(self) -> float:
         """Simulation time [s] of the state that `take` returns next."""
         if self._changed:
-            return self.row.time_ns / 1e9
+            return self.newest.time_ns / 1e9
         return self._time_ns(self._trajectory.index + 1) / 1e9
 
     @property
-    def integration_s(self):
+    def integration_s(self) -> float:
         """[s] wall time that the integration of a state takes at present."""
         return self._trajectory.wall_s_per_step
 
     @property
-    def switches(self):
+    def switches(self) -> int:
         """Slack/taut switches since the last change of the motion, Eq. (5)."""
         return self._trajectory.switches
 
-    def take(self):
+    def take(self) -> Sample:
         """Go on to the next state and return it.
 
         Raises
@@ -282,25 +310,25 @@ class Simulation:
             self._changed = False
         else:
             state = self._trajectory.take()
-            self.row = Row(self._time_ns(self._trajectory.index), *state)
-        return self.row
+            self.newest = Sample(self._time_ns(self._trajectory.index), *state)
+        return self.newest
 
-    def reset(self, setup=None, time=True):
+    def reset(self, setup: Setup | None = None, time: bool = True) -> None:
         """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
         if setup is not None:
-            self._begin(setup, setup.start, 0 if time else self.row.time_ns)
+            self._begin(setup, setup.start, 0 if time else self.newest.time_ns)
         elif time:
-            self._base_ns -= self.row.time_ns
-            self.row = self.row._replace(time_ns=0)
+            self._base_ns -= self.newest.time_ns
+            self.newest = self.newest._replace(time_ns=0)
             self._limit()
         self._changed = True
 
-    def disturb(self, offset_m, velocity_m_s):
+    def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
-        state = State(self.row.position_m + offset_m, self.row.velocity_m_s + velocity_m_s)
-        self._begin(self.setup, state, self.row.time_ns)
+        state = State(self.newest.position_m + offset_m, self.newest.velocity_m_s + velocity_m_s)
+        self._begin(self.setup, state, self.newest.time_ns)
 
-    def save(self, file):
+    def save(self, file: str) -> None:
         """Write a snapshot.
 
         Parameters
@@ -316,7 +344,7 @@ class Simulation:
         place = {"index": self._trajectory.index, "base_ns": self._base_ns}
         snapshot.write(file, self.setup.identity, place, self._trajectory.checkpoint())
 
-    def restore(self, file):
+    def restore(self, file: str) -> None:
         """Continue from a snapshot, time included.
 
         Raises
@@ -341,7 +369,7 @@ class Simulation:
             raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
         self._continue(trajectory, place["base_ns"], state)
 
-    def close(self):
+    def close(self) -> None:
         """Give up what is being integrated."""
         self._trajectory.close()
 
@@ -354,15 +382,14 @@ class Simulation:
         if self._trajectory is not None:
             self._trajectory.close()
         self._trajectory, self._base_ns = trajectory, base_ns
-        self.row = Row(self._time_ns(trajectory.index), *state)
+        self.newest = Sample(self._time_ns(trajectory.index), *state)
         self._changed = True
         self._limit()
 
     def _limit(self):
         end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)
-        steps = (end_s - self._base_ns / 1e9) / self.setup.publish_period_s
-        # The allowance keeps a last step that falls on the end of the last turn.
-        self._trajectory.last = math.floor(steps * (1.0 + 1e-12))
+        duration_s = end_s - self._base_ns / 1e9
+        self._trajectory.last = last_index(duration_s, self.setup.publish_period_s)
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)

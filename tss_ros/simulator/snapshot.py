@@ -1,29 +1,23 @@
-"""Snapshots: the exact state of a simulation in a NumPy archive."""
+"""Snapshots: the exact state of a simulation in a NumPy archive.
+
+Its entries are `format_version`, `setup_*` (what the simulation must agree in), `place_*` (which
+state it is) and `integrator_*` (what the integrator remembers, see `checkpoint`).
+"""
 
 import zipfile
-from typing import NamedTuple
 
 import numpy as np
 
 from tss_ros.core import TssError
+from tss_ros.simulator.checkpoint import Checkpoint
+
+#: Raised whenever entries change. Version 1 had no number and the integrator's own names.
+FORMAT_VERSION = 2
 
 
-class Checkpoint(NamedTuple):
-    """The integrator between two steps.
-
-    Attributes
-    ----------
-    index : int
-        A state, counted from the beginning of the trajectory, that it can give without a step.
-    arrays : dict of str to ndarray
-        All that it remembers.
-    """
-
-    index: int
-    arrays: dict
-
-
-def write(file, identity, place, checkpoint):
+def write(
+    file: str, identity: dict[str, np.ndarray], place: dict[str, int], checkpoint: Checkpoint
+) -> None:
     """Write a snapshot.
 
     Parameters
@@ -43,18 +37,25 @@ def write(file, identity, place, checkpoint):
         If there is such a file already, or if it cannot be made.
     """
     content = {f"setup_{name}": value for name, value in identity.items()}
-    content |= {f"motion_{name}": value for name, value in checkpoint.arrays.items()}
+    content |= {f"integrator_{name}": value for name, value in checkpoint.arrays.items()}
     content |= {f"place_{name}": value for name, value in place.items()}
     try:
         with open(_checked(file), "xb") as stream:
-            np.savez(stream, place_from_index=checkpoint.index, **content)
+            np.savez(
+                stream,
+                format_version=FORMAT_VERSION,
+                place_from_index=checkpoint.index,
+                **content,
+            )
     except FileExistsError:
         raise TssError(f"snapshot {file!r:.200} exists already; allowed: a new file") from None
     except (OSError, ValueError) as error:
         raise TssError(f"snapshot {file!r:.200} cannot be written: {_reason(error)}") from None
 
 
-def read(file, identity, like, furthest):
+def read(
+    file: str, identity: dict[str, np.ndarray], like: Checkpoint, furthest: int
+) -> tuple[dict[str, int], Checkpoint]:
     """Read a snapshot and check that it fits.
 
     Parameters
@@ -77,7 +78,7 @@ def read(file, identity, like, furthest):
     FileNotFoundError
         If there is no such file.
     TssError
-        If it is no snapshot or one of another system.
+        If it is no snapshot, or one of another version or another system.
     """
     try:
         with np.load(_checked(file), allow_pickle=False) as archive:
@@ -86,13 +87,18 @@ def read(file, identity, like, furthest):
         raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise TssError(f"snapshot {file!r:.200} cannot be read: {_reason(error)}") from None
+    version = content.get("format_version", 1)
+    if not np.array_equal(version, FORMAT_VERSION):
+        raise TssError(
+            f"snapshot {file!r:.200} has format version {version!s:.20}; allowed: {FORMAT_VERSION}"
+        )
     for name, value in identity.items():
         if not np.array_equal(content.get(f"setup_{name}"), value):
             raise TssError(
                 f"snapshot {file!r:.200} is of a simulation with another {name}; "
                 "set the parameters as they were and reset first"
             )
-    arrays = {name: content.get(f"motion_{name}") for name in like.arrays}
+    arrays = {name: content.get(f"integrator_{name}") for name in like.arrays}
     numbers = [content.get(f"place_{name}") for name in ("index", "base_ns", "from_index")]
     whole = all(_fits(array, like.arrays[name]) for name, array in arrays.items())
     if not (whole and all(_fits(number, np.array(0)) for number in numbers)):

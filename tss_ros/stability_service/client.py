@@ -6,12 +6,16 @@ import math
 import os
 import sys
 import time
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import rcl_interfaces.msg
 import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 from tss_interfaces.msg import Confirmation, FloquetResult
@@ -48,15 +52,15 @@ CONFIRMED_TABLE = (
 
 
 def compute(
-    node,
-    service,
-    rates,
-    method="",
-    overrides=(),
-    on_wait=None,
-    patience_s=10.0,
-    confirm_turns=0,
-):
+    node: Node,
+    service: str,
+    rates: Sequence[float],
+    method: str = "",
+    overrides: Iterable[rcl_interfaces.msg.Parameter] = (),
+    on_wait: Callable[[int], object] | None = None,
+    patience_s: float = 10.0,
+    confirm_turns: int = 0,
+) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
     Parameters
@@ -129,7 +133,7 @@ def compute(
         node.destroy_client(client)
 
 
-def flat(result):
+def flat(result: FloquetResult) -> dict[str, Any]:
     """All fields of a result but the multipliers as a dict.
 
     Those of its confirmation are named confirmation_*, NaN if there is none; `error` is the largest
@@ -145,7 +149,9 @@ def flat(result):
     return cells
 
 
-def format_table(results, columns=TABLE):
+def format_table(
+    results: Sequence[FloquetResult], columns: Sequence[tuple[str, str]] = TABLE
+) -> str:
     """The results as lines of aligned columns, with a heading.
 
     Parameters
@@ -172,7 +178,7 @@ def format_table(results, columns=TABLE):
     )
 
 
-def write_csv(results, path):
+def write_csv(results: Iterable[FloquetResult], path: str | Path) -> None:
     """Write the results, one rate per row, with the names of `flat` as heading."""
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(flat(FloquetResult())))
@@ -180,7 +186,7 @@ def write_csv(results, path):
         writer.writerows(map(flat, results))
 
 
-def figure(results, method):
+def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
     """The figure of `plots.stability` for these results."""
     return plots.stability(
         [result.spin_rate_ratio for result in results],
@@ -191,7 +197,7 @@ def figure(results, method):
     )
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `stability`.
 
     Returns

@@ -5,12 +5,17 @@ the field, its value and what is allowed.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, TssError
+from tss_interfaces.action import Sweep
+from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+
+from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import parameters
-from tss_ros.ros.parameters import Parameter
+from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
 
 #: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
 #: cube of the beads, `CERTIFIED` times that if certified, and each turn of its simulation as twice
@@ -28,18 +33,27 @@ MAX_SEARCH = 540
 MAX_JOBS, MAX_JOB_BEADS, MAX_WIDTH = 10_000, 100_000, 1000
 #: What a search is given besides overrides; a field left at zero means the default.
 SEARCH = (
-    Parameter("spin_rate_ratio_from", float, "One end [-].", -1e4, 1e4, default=0.0),
-    Parameter("spin_rate_ratio_to", float, "Other end [-].", -1e4, 1e4, default=0.0),
-    Parameter("tolerance", float, "Largest uncertainty [-].", 1e-6, 0.1, default=1e-3),
+    replace(SPIN_RATE_RATIO, name="spin_rate_ratio_from", default=0.0),
+    replace(SPIN_RATE_RATIO, name="spin_rate_ratio_to", default=0.0),
+    Parameter("tolerance", float, "Largest uncertainty", "-", 1e-6, 0.1, default=1e-3),
 )
-DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets [m].", 1e-6, 1e6)
-#: What a sweep may vary: all that makes a system, but not the rates, which a goal has of its own.
-VARIED = {p.name: p for p in parameters.OVERRIDES if p.name != "spin_rate_ratio"}
+#: The simulation beside a verdict; how many turns are allowed depends on the system.
+CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)
+DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets", "m", 1e-6, 1e6)
+_VARIED = {parameter.name: parameter for parameter in VARIED}
 
 
 @dataclass
-class Row:
-    """A value of a sweep's parameter, NaN if none is varied, and why it makes no system, or ""."""
+class VariedValue:
+    """A value of the parameter that a sweep varies.
+
+    Attributes
+    ----------
+    value : float
+        NaN if no parameter is varied.
+    message : str
+        Why it makes no system; "" if it does.
+    """
 
     value: float
     message: str = ""
@@ -47,14 +61,24 @@ class Row:
 
 @dataclass
 class Plan:
-    """A checked sweep: a row for each value, the jobs, each with its row's index, and remarks."""
+    """A checked sweep.
 
-    rows: list = field(default_factory=list)
-    jobs: list = field(default_factory=list)
-    remarks: list = field(default_factory=list)
+    Attributes
+    ----------
+    rows : list of VariedValue
+        A row of the result for each.
+    jobs : list of (int, FloquetJob or CriticalRatesJob)
+        Each with the index of its row.
+    remarks : list of str
+        What whoever asked should know besides.
+    """
+
+    rows: list[VariedValue] = field(default_factory=list)
+    jobs: list[tuple[int, FloquetJob | CriticalRatesJob]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
 
-def check_method(request):
+def check_method(request: ComputeFloquet.Request | Sweep.Goal) -> str:
     """The method of a request, one of `METHODS`."""
     method = request.method or METHODS[0]
     if method not in METHODS:
@@ -62,11 +86,11 @@ def check_method(request):
     return method
 
 
-def check_floquet(request, system):
+def check_floquet(request: ComputeFloquet.Request, system: System) -> tuple[str, int]:
     """The method and the turns to be simulated of a ComputeFloquet request."""
     method = check_method(request)
     longest = min(MAX_TURNS, MAX_BEAD_TURNS // system.n)
-    turns = Parameter("confirm_turns", int, "", 0, longest).check(request.confirm_turns)
+    turns = replace(CONFIRM_TURNS, maximum=longest).check(request.confirm_turns)
     if turns:
         DISTURBANCE.check(request.confirm_disturbance_m)
     work = (CERTIFIED if request.certify else 1) * system.n**3 + 2 * system.n * turns
@@ -80,7 +104,7 @@ def check_floquet(request, system):
     return method, turns
 
 
-def check_search(request, system):
+def check_search(request: FindCriticalRates.Request, system: System) -> tuple[float, float, float]:
     """The ends, the smaller first, and the tolerance of a FindCriticalRates request."""
     low, high, tolerance = _interval(request)
     widest = MAX_SEARCH / system.n**3
@@ -92,7 +116,9 @@ def check_search(request, system):
     return low, high, tolerance
 
 
-def plan_sweep(request, build, cancelled):
+def plan_sweep(
+    request: Sweep.Goal, build: Callable[[dict[str, Any]], System], cancelled: Callable[[], bool]
+) -> Plan:
     """Check the goal of a sweep and build its systems.
 
     Parameters
@@ -129,8 +155,8 @@ def plan_sweep(request, build, cancelled):
         )
     overrides = parameters.read_overrides(request.overrides)
     name = request.parameter
-    if name and name not in VARIED:
-        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(VARIED)}")
+    if name and name not in _VARIED:
+        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(_VARIED)}")
     if bool(name) != bool(request.value):
         raise TssError(
             f"parameter is {name!r} and value has {len(request.value)} values; "
@@ -139,7 +165,7 @@ def plan_sweep(request, build, cancelled):
     if name in overrides:
         raise TssError(f"parameter is {name!r}, also in overrides; allowed: in one of the two")
     per_row = len(rates) + search
-    plan = Plan([Row(value) for value in request.value or [math.nan]])
+    plan = Plan([VariedValue(value) for value in request.value or [math.nan]])
     if (count := len(plan.rows) * per_row) > MAX_JOBS:
         raise TssError(
             f"value, spin_rate_ratio and the interval make {count} jobs; "
@@ -150,7 +176,7 @@ def plan_sweep(request, build, cancelled):
         if cancelled():
             raise Cancelled("canceled before it began")
         try:
-            varied = {name: _checked(VARIED[name], row.value)} if name else {}
+            varied = {name: _checked(_VARIED[name], row.value)} if name else {}
             system = build({**overrides, **varied})
         except TssError as error:
             row.message = str(error)
@@ -172,13 +198,13 @@ def plan_sweep(request, build, cancelled):
     return plan
 
 
-def left_out(low, high):
+def left_out(low: float, high: float) -> list[str]:
     """A remark if a search of this interval leaves out slow spin."""
     slow = low < SLOWEST and high > -SLOWEST
     return [f"rates slower than {SLOWEST:g} were left out"] if slow else []
 
 
-def useless(overrides):
+def useless(overrides: dict[str, Any]) -> list[str]:
     """A remark if an override has no effect."""
     if "spin_rate_ratio" not in overrides:
         return []

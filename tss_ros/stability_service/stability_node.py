@@ -28,7 +28,7 @@ from tss_ros.core import (
 from tss_ros.ros import messages, parameters
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
-from tss_ros.stability_service import requests as requests
+from tss_ros.stability_service import requests
 from tss_ros.sweeps import cluster
 
 #: Feedback kept for slow clients.
@@ -37,6 +37,7 @@ FEEDBACK_DEPTH = 100
 FEEDBACK_PERIOD_S = 0.05
 #: How often [s] a goal looks whether it is its turn.
 TURN_CHECK_S = 0.1
+#: How often [s] the progress of a request is logged at most.
 PROGRESS_PERIOD_S = 5.0
 
 
@@ -83,7 +84,7 @@ class StabilityNode(TssNode):
         )
         self.get_logger().info(f"ready for requests about {self._scenario}")
 
-    def stop(self):
+    def stop(self) -> None:
         """Give up the request and the sweep in hand, if any."""
         self._stopping.set()
         # destroy_node leaves action servers, and they the node's shared memory.
@@ -148,10 +149,10 @@ class StabilityNode(TssNode):
         """Fill in the results of a request and return remarks on it."""
         method, turns = requests.check_floquet(request, system)
         rates = request.spin_rate_ratio
-        tell = self._teller()
+        log_progress = self._progress_logger()
         results = []
         for i, rate in enumerate(rates):
-            tell(f"{i} of {len(rates)} rates computed")
+            log_progress(f"{i} of {len(rates)} rates computed")
             results.append(self._result(system, rate, method, request))
         response.results = results
         if turns and method != "monodromy":
@@ -193,13 +194,13 @@ class StabilityNode(TssNode):
     def _find_critical_rates(self, system, request, response):
         """Fill in the boundaries a request asks for and return remarks on it."""
         low, high, tolerance = requests.check_search(request, system)
-        tell = self._teller()
+        log_progress = self._progress_logger()
         found = find_critical_rates(
             system,
             low,
             high,
             tolerance,
-            progress=lambda done, rates: tell(
+            progress=lambda done, rates: log_progress(
                 f"{100 * done:.0f} % of the interval searched, {len(rates)} boundaries found"
             ),
             cancelled=self._stopping.is_set,
@@ -218,7 +219,7 @@ class StabilityNode(TssNode):
             if cancelled():
                 raise Cancelled("canceled before it began")
             time.sleep(TURN_CHECK_S)
-        tell = self._teller()
+        log_progress = self._progress_logger()
         result.rows = rows = [SweepRow(value=r.value, message=r.message) for r in plan.rows]
         progress.total = total = len(plan.jobs)
         pieces = [None] * total
@@ -228,7 +229,7 @@ class StabilityNode(TssNode):
                 i, job = plan.jobs[index]
                 pieces[index] = self._piece(rows[i].value, job, outcome)
                 progress.add(i, pieces[index])
-                tell(f"{progress.done} of {total} jobs done")
+                log_progress(f"{progress.done} of {total} jobs done")
         except Cancelled:
             raise Cancelled(f"canceled with {progress.done} of {total} jobs done") from None
         finally:
@@ -265,39 +266,39 @@ class StabilityNode(TssNode):
         for row in rows:
             goal.publish_feedback(Sweep.Feedback(done=done, total=progress.total, row=row))
 
-    def _teller(self):
-        """A function that logs how far a request is, now and then."""
-        begun = told = time.monotonic()
+    def _progress_logger(self):
+        """A function that logs how far a request is, each `PROGRESS_PERIOD_S` at most."""
+        begun = logged = time.monotonic()
 
-        def tell(text):
-            nonlocal told
-            if (now := time.monotonic()) - told > PROGRESS_PERIOD_S:
-                told = now
+        def log_progress(text):
+            nonlocal logged
+            if (now := time.monotonic()) - logged > PROGRESS_PERIOD_S:
+                logged = now
                 self.get_logger().info(f"{text} in {now - begun:.0f} s")
 
-        return tell
+        return log_progress
 
 
 class _Progress:
-    """How far a sweep is, and what it found that no feedback has told yet; for any thread."""
+    """How far a sweep is, and what it found that no feedback has carried yet; for any thread."""
 
     def __init__(self):
         self.done = self.total = 0
-        self._untold = []
+        self._unsent = []
         self._lock = threading.Lock()
 
     def add(self, i, piece):
         """Take what a job found for row `i`."""
         with self._lock:
-            self._untold.append((i, piece))
+            self._unsent.append((i, piece))
             self.done += 1
 
     def take(self):
-        """The number of jobs done, and what is untold of each row."""
+        """The number of jobs done, and what is unsent of each row."""
         with self._lock:
-            done, untold, self._untold = self.done, self._untold, []
+            done, unsent, self._unsent = self.done, self._unsent, []
         rows = {}
-        for i, piece in untold:
+        for i, piece in unsent:
             _join(rows.setdefault(i, SweepRow(value=piece.value)), piece)
         return done, rows.values()
 
@@ -312,6 +313,6 @@ def _failed(system, rate, error):
     return messages.failed_floquet_result(rate, rate * system.orbit_rate_rad_s, str(error))
 
 
-def main():
+def main() -> None:
     """Executable `stability_node`."""
     run(StabilityNode)

@@ -10,6 +10,8 @@ import logging
 import queue
 import re
 import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from tss_ros.core import Cancelled, TssError
 from tss_ros.sweeps import software
@@ -26,14 +28,16 @@ CONNECT_S = 10.0
 POLL_S, COUNT_S = 0.1, 1.0
 
 
-def check_address(scheduler):
+def check_address(scheduler: str) -> str:
     """The address of a scheduler; a TssError if it cannot be one."""
     if not re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", scheduler):
         raise TssError(f"scheduler is {scheduler!r:.80}; allowed: tcp://HOST:PORT, tls://HOST:PORT")
     return scheduler
 
 
-def sweep(jobs, scheduler, cancelled=None):
+def sweep(
+    jobs: Iterable[Any], scheduler: str, cancelled: Callable[[], bool] | None = None
+) -> Iterator[tuple[int, Any]]:
     """Run jobs on a Dask cluster and give each outcome as it comes.
 
     Workers may come and go meanwhile. Closing the generator, or the end of this process, stops the
@@ -105,7 +109,7 @@ def _connected(scheduler):
         raise TssError(
             "a Dask cluster needs the package distributed; get it with: pip install distributed"
         ) from None
-    # A scheduler that is lost is told of below, in one line.
+    # A lost scheduler raises a TssError below; the client's own log would repeat it.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = Client(check_address(scheduler), timeout=CONNECT_S, set_as_default=False)

@@ -8,6 +8,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import cluster
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, Question
 from tss_ros.sweeps.store import Store
@@ -26,7 +28,14 @@ MAX_LISTED = 1000
 PROGRESS_S = 0.2
 
 
-def compute(question, store, workers=None, scheduler="", told=None, cancelled=None):
+def compute(
+    question: Question,
+    store: Store,
+    workers: int | None = None,
+    scheduler: str = "",
+    on_job_done: Callable[[], object] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> None:
     """Do and record the jobs that are missing from a store.
 
     Parameters
@@ -37,7 +46,7 @@ def compute(question, store, workers=None, scheduler="", told=None, cancelled=No
         Threads of this process; as many as there are cores if not given.
     scheduler : str
         Address of a Dask scheduler whose workers do it instead; "" for none.
-    told : callable, optional
+    on_job_done : callable, optional
         Called after every job.
     cancelled : callable, optional
 
@@ -57,11 +66,11 @@ def compute(question, store, workers=None, scheduler="", told=None, cancelled=No
     with contextlib.closing(outcomes):
         for index, outcome in outcomes:
             store.record(missing[index], *outcome)
-            if told:
-                told()
+            if on_job_done:
+                on_job_done()
 
 
-def table(question, store):
+def table(question: Question, store: Store) -> str:
     """What was found, as lines of text; of more than `MAX_LISTED` jobs, only how often.
 
     Parameters
@@ -157,7 +166,7 @@ def _points(question, store, *columns):
     return found.filter(pa.compute.field("method") == question.methods[0])
 
 
-def draw(question, store):
+def draw(question: Question, store: Store) -> plots.Figure:
     """The map of verdicts and critical rates.
 
     Parameters
@@ -188,7 +197,7 @@ def draw(question, store):
     )
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Executable `sweep`.
 
     Returns
@@ -295,7 +304,9 @@ def _parse(arguments):
         "--confirm", type=int, default=0, metavar="TURNS",
         help=f"simulate disturbed formations {BESIDE} beside critical rates",
     )  # fmt: skip
-    parser.add_argument("--parameter", default="", help="parameter to vary, e.g. damping_n_s_per_m")
+    parser.add_argument(
+        "--parameter", default="", help=f"parameter to vary: {', '.join(names(VARIED))}"
+    )
     parser.add_argument("--values", nargs="+", type=float, default=[], metavar="VALUE")
     parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
     parser.add_argument(

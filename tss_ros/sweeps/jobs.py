@@ -3,7 +3,9 @@
 import json
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +35,9 @@ class Boundaries:
     interval: CriticalRatesJob
     turns: int
 
-    def run(self, cancelled=None):
+    def run(
+        self, cancelled: Callable[[], bool] | None = None
+    ) -> tuple[dict[str, list[dict[str, Any]]], TssError | None]:
         """Rows of `CRITICAL_RATES` and `SIMULATIONS`, and the first error of a simulation."""
         system, failure = self.interval.system, None
         rates = self.interval.run(cancelled)
@@ -64,7 +68,7 @@ class Entry:
     job: FloquetJob | Boundaries
     cells: dict
 
-    def run(self, cancelled=None):
+    def run(self, cancelled: Callable[[], bool] | None = None) -> tuple[str, str | None, float]:
         """Do the job.
 
         Returns
@@ -120,7 +124,17 @@ class Question:
         If a scenario or a value is not allowed.
     """
 
-    def __init__(self, scenarios, parameter, values, rates, methods, interval, tolerance, turns):
+    def __init__(
+        self,
+        scenarios: Sequence[str],
+        parameter: str,
+        values: Sequence[float],
+        rates: tuple[float, float, int] | None,
+        methods: Sequence[str],
+        interval: tuple[float, float] | None,
+        tolerance: float,
+        turns: int,
+    ) -> None:
         self.parameter, self.methods = parameter, methods
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
@@ -146,16 +160,16 @@ class Question:
     def _jobs_per_system(self):
         return len(self.ratios) * len(self.methods) + (self.interval is not None)
 
-    def system_index(self, number):
+    def system_index(self, number: int | np.ndarray) -> int | np.ndarray:
         """Which of `systems` a job, or each of an array of jobs, is about."""
         return number // self._jobs_per_system
 
-    def label(self, number):
+    def label(self, number: int) -> str:
         """The system of a job, in words."""
         name, value, _ = self.systems[self.system_index(number)]
         return f"{name} {self.parameter}={value:g}" if self.parameter else name
 
-    def job(self, number):
+    def job(self, number: int) -> Entry:
         """The Entry of a number."""
         index, place = self.system_index(number), number % self._jobs_per_system
         name, value, system = self.systems[index]
@@ -171,7 +185,7 @@ class Question:
             FloquetJob(system, ratio, method), cells | {"spin_rate_ratio": ratio, "method": method}
         )
 
-    def columns(self):
+    def columns(self) -> dict[str, dict[str, type]]:
         """Names and types of the columns of each table.
 
         Returns

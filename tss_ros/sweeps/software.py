@@ -9,7 +9,7 @@ from tss_ros import core
 
 
 @functools.cache
-def versions():
+def versions() -> dict[str, str]:
     """What results to the last bit depend on, beside the kind of processor.
 
     Returns
@@ -25,7 +25,7 @@ def versions():
     return {**{name: version(name) for name in packages}, "core": digest.hexdigest()[:12]}
 
 
-def differences(there, here):
+def differences(there: dict[str, str], here: dict[str, str]) -> str:
     """In words, what differs between two sets of `versions`; "" if nothing does."""
     return ", ".join(
         f"{name} is {there.get(name)} there and {here[name]} here"

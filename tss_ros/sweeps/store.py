@@ -11,12 +11,14 @@ import json
 import os
 import sqlite3
 import time
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.parquet
 
 from tss_ros.core import TssError
+from tss_ros.sweeps.jobs import Question
 
 #: Jobs whose results share a file.
 BLOCK = 10_000
@@ -52,7 +54,7 @@ class Store:
         the disk refuses.
     """
 
-    def __init__(self, folder, question):
+    def __init__(self, folder: Path, question: Question) -> None:
         self._folder, self._manifest = folder, folder / "manifest.sqlite"
         self._schemas = {
             name: pa.schema([(column, TYPES[kind]) for column, kind in columns.items()])
@@ -88,21 +90,21 @@ class Store:
         finally:
             self._close()
 
-    def missing(self, total):
+    def missing(self, total: int) -> list[int]:
         """Numbers of the jobs, of so many, that are not recorded."""
         recorded = {number for (number,) in self._execute("SELECT id FROM job")}
         return [number for number in range(total) if number not in recorded]
 
-    def failures(self):
+    def failures(self) -> sqlite3.Cursor:
         """Numbers and errors of the jobs that failed, in the order of the question."""
         return self._execute("SELECT id, error FROM job WHERE error IS NOT NULL ORDER BY id")
 
-    def forget_failures(self):
+    def forget_failures(self) -> None:
         """Take the jobs that failed for missing."""
         self._execute("DELETE FROM job WHERE error IS NOT NULL")
         self.done, self.failed = self.done - self.failed, 0
 
-    def record(self, number, rows, error, cpu_s):
+    def record(self, number: int, rows: str, error: str | None, cpu_s: float) -> None:
         """Write down a job; its results survive the process from here on.
 
         Parameters
@@ -124,7 +126,7 @@ class Store:
         if self._pending >= FLUSH_JOBS or time.monotonic() - self._flushed > FLUSH_S:
             self.flush()
 
-    def flush(self):
+    def flush(self) -> None:
         """Bring the Parquet files up to date."""
         blocks = self._execute("SELECT DISTINCT id / ? FROM not_in_parquet", (BLOCK,)).fetchall()
         for (block,) in blocks:
@@ -139,7 +141,7 @@ class Store:
             self._execute(f"DELETE {part}", ends)
         self._pending, self._flushed = 0, time.monotonic()
 
-    def table(self, name, columns=None):
+    def table(self, name: str, columns: list[str] | None = None) -> pa.Table:
         """A table as it stands in Parquet, in the order of the question.
 
         Parameters

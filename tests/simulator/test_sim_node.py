@@ -1,21 +1,28 @@
-"""The nodes among others: names, QoS, parameters, diagnostics, subscribers and nodes that die."""
+"""The simulator as a real process: what it publishes, when, by which names, and its parameters."""
 
-import itertools
-import signal
-import sys
+import math
 import time
 
+import numpy as np
 import pytest
-import request_fuzzer
 import ros_harness
 from diagnostic_msgs.msg import DiagnosticArray
+from mcap.reader import make_reader
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from recorded import (
+    ORBIT_RATE,
+    PERIOD_S,
+    STEPS,
+    TURN_S,
+    messages_by_topic,
+    record_one_turn,
+    recorded_steps,
+)
 from ros_harness import time_ns
-from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
 from tss_interfaces.msg import BeadStates, SimulationState
 from tss_interfaces.srv import (
-    ComputeFloquet,
     GetSimulationState,
     ResetSimulation,
     SetSimulationState,
@@ -23,25 +30,116 @@ from tss_interfaces.srv import (
 )
 
 from tss_ros.ros import parameters
-from tss_ros.ros.topics import read_topics
 
-SUBSCRIBER = f"""#!{sys.executable}
-import rclpy
-from tss_interfaces.msg import BeadStates
-rclpy.init()
-node = rclpy.create_node("subscriber")
-node.create_subscription(BeadStates, "bead_states", lambda message: print("got", flush=True), 10)
-rclpy.spin(node)
-"""
+# --- what a step consists of
 
 
-def recorded_steps(bag, topic):
-    with AnyReader([bag]) as reader:
-        connections = [c for c in reader.connections if c.topic == topic]
-        return [
-            reader.deserialize(data, connection.msgtype).step
-            for connection, _, data in reader.messages(connections=connections)
-        ]
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder of one recorded turn."""
+    return record_one_turn(tmp_path_factory.mktemp("run"))
+
+
+def test_messages_of_a_step_agree(run):
+    messages = messages_by_topic(run / "bag")
+    (_, described), *_ = messages["/system_description"]
+    ends = described.tether_ends.reshape(-1, 2)
+    assert described.scenario == "three_star"
+    assert described.bead_name == ["satellite_1", "satellite_2", "satellite_3"]
+    assert sorted(map(sorted, ends.tolist())) == [[0, 1], [0, 2], [1, 2]]
+    assert described.mass_kg.tolist() == [100.0] * 3
+    assert described.axial_stiffness_n.tolist() == [5e4] * 3
+    assert described.orbit_rate_rad_s == pytest.approx(ORBIT_RATE, rel=1e-12)
+    assert described.spin_rate_ratio == -2.5
+    for step in range(0, STEPS, 37):
+        beads, tethers, joints, cloud, markers = (
+            messages[topic][step][1]
+            for topic in (
+                "/bead_states",
+                "/tether_states",
+                "/tether_lengths",
+                "/bead_cloud",
+                "/markers",
+            )
+        )
+        stamp = beads.header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == round(step * PERIOD_S * 1e9)
+        for header in (beads, tethers, joints, cloud, *markers.markers):
+            assert (header.header.stamp, header.header.frame_id) == (stamp, "orbit")
+        position_m = beads.position_m.reshape(-1, 3)
+        length_m = np.linalg.norm(position_m[ends[:, 0]] - position_m[ends[:, 1]], axis=1)
+        radius_m = np.linalg.norm(position_m, axis=1)
+        np.testing.assert_allclose(tethers.length_m, length_m, rtol=1e-12)
+        np.testing.assert_array_equal(tethers.taut, length_m > described.rest_length_m)
+        np.testing.assert_allclose(
+            beads.deviation, radius_m / described.reference_radius_m - 1, atol=1e-12
+        )
+        assert joints.name == tethers.name
+        np.testing.assert_array_equal(joints.position, tethers.length_m)
+        np.testing.assert_array_equal(joints.effort, tethers.tension_n)
+        fields = [field.name for field in cloud.fields]
+        points = cloud.data.view(np.float32).reshape(cloud.width, len(fields))
+        np.testing.assert_allclose(points[:, :3], position_m, rtol=1e-6)
+        np.testing.assert_allclose(points[:, fields.index("deviation")], beads.deviation, rtol=1e-6)
+        lines = next(marker for marker in markers.markers if marker.ns == "tethers")
+        drawn = [(point.x, point.y, point.z) for point in lines.points]
+        np.testing.assert_array_equal(drawn, position_m[ends.ravel()])
+        grey = [(c.r, c.g, c.b) == (0.5, 0.5, 0.5) for c in lines.colors[::2]]
+        np.testing.assert_array_equal(grey, ~np.array(tethers.taut, dtype=bool))
+
+
+def test_disturbance_is_a_seeded_offset_of_the_given_size(run):
+    messages = messages_by_topic(run / "bag")
+    _, first = messages["/bead_states"][0]
+    _, described = messages["/system_description"][0]
+    # Undisturbed, the satellites stand at pi/2 + i 2 pi/3 (Eq. 50).
+    angle = math.pi / 2 + np.arange(3) * 2 * math.pi / 3
+    radius_m = described.reference_radius_m
+    undisturbed_m = np.column_stack([radius_m * np.cos(angle), radius_m * np.sin(angle), 0 * angle])
+    offset_m = first.position_m.reshape(-1, 3) - undisturbed_m
+    assert np.linalg.norm(offset_m) == pytest.approx(10.0, rel=1e-6)
+    assert (described.disturbance_m, described.disturbance_seed) == (10.0, 7)
+
+
+# --- time
+
+
+def test_pace_follows_the_wall_clock(start):
+    """In a namespace, for good measure."""
+    scale, period_s = 200.0, 10.0
+    logger = start("logger_node", "-r", "__ns:=/left", output="bag")
+    simulator = start(
+        "sim_node",
+        "-r",
+        "__ns:=/left",
+        time_scale=scale,
+        turns=0.2,
+        publish_period_s=period_s,
+        wait_for_recorder=True,
+    )
+    assert simulator.wait(ros_harness.START_S) == 0, simulator.stderr
+    assert logger.stop() == 0
+    with (logger.directory / "bag" / "bag_0.mcap").open("rb") as stream:
+        messages = make_reader(stream).iter_messages(topics=["/left/bead_states"])
+        times_ns = [(message.log_time, message.publish_time) for _, _, message in messages]
+    simulated_s, wall_s = np.ptp(times_ns, axis=0) / 1e9
+    assert simulated_s == math.floor(TURN_S * 0.2 / period_s) * period_s
+    assert wall_s == pytest.approx(simulated_s / scale, rel=0.15)
+
+
+def test_clock_spares_its_followers(start):
+    simulator = start("sim_node", time_scale=0)
+    with ros_harness.client_node() as (node, spin_until):
+        arrivals = []
+        node.create_subscription(
+            Clock, "/clock", lambda message: arrivals.append((time.monotonic(), message.clock)), 500
+        )
+        spin_until(lambda: len(arrivals) > 200, ros_harness.START_S, "200 clock messages")
+        (began, _), (ended, _) = arrivals[0], arrivals[-1]
+        assert len(arrivals) / (ended - began) < 220
+        seconds = [stamp.sec + stamp.nanosec * 1e-9 for _, stamp in arrivals]
+        assert seconds == sorted(seconds)
+    assert simulator.stop() == 0
 
 
 # --- names
@@ -85,69 +183,7 @@ def test_names_can_be_remapped(start, client):
     assert not formation.beads and simulator.stop() == 0
 
 
-# --- QoS
-
-
-def test_topics_have_the_qos_of_the_file_unless_overridden(start, client):
-    node, spin_until = client
-    simulator = start(
-        "sim_node",
-        **{
-            "qos_overrides./markers.publisher.reliability": "best_effort",
-            "qos_overrides./bead_states.publisher.depth": 77,
-        },
-    )
-    expected = {
-        name: (topic.depth, "RELIABLE", topic.durability)
-        for name, topic in read_topics().items()
-        if topic.publisher == "sim_node" and name != "/tf"
-    }
-    expected["markers"] = (1000, "BEST_EFFORT", "volatile")
-    expected["bead_states"] = (77, "RELIABLE", "volatile")
-
-    def offered():
-        found = {
-            name: [
-                (i.qos_profile.reliability.name, i.qos_profile.durability.name.lower())
-                for i in node.get_publishers_info_by_topic(name)
-            ]
-            for name in expected
-        }
-        return all(found.values()) and found
-
-    found = spin_until(offered, ros_harness.START_S, "every topic")
-    assert found == {name: [qos[1:]] for name, qos in expected.items()}
-    # The middleware does not tell depths to others; the node's parameters do.
-    sim = ros_harness.Simulator(node, spin_until)
-    refused = sim.set(**{"qos_overrides./bead_states.publisher.depth": 78})
-    assert not refused.successful and "read-only" in refused.reason
-    assert simulator.stop() == 0
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({"qos_overrides./markers.publisher.reliability": "perhaps"}, "perhaps"),
-        ({"qos_overrides./markers.publisher.depth": 0}, "depth is 0; allowed: 1 to 1000000"),
-        ({"qos_overrides./markers.publisher.depth": "x"}, "depth"),
-        ({"publish_tf": True}, "/tf needs the package tf2_msgs"),
-    ],
-)
-def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expected):
-    if "publish_tf" in given:
-        try:
-            import tf2_msgs  # noqa: F401
-
-            pytest.skip("tf2_msgs is installed here")
-        except ModuleNotFoundError:
-            pass
-    process = start("sim_node", **given)
-    assert process.wait(ros_harness.START_S) == 1
-    (line,) = process.stderr.splitlines()
-    assert line.startswith("sim_node: ") and expected in line
-
-
-# --- parameters
+# --- parameters and diagnostics
 
 
 def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, client):
@@ -209,9 +245,6 @@ def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, cl
     assert process.stop() == 0 and "rror" not in process.stderr
 
 
-# --- diagnostics
-
-
 def test_diagnostics_tell_pace_slack_and_recorders(start, client):
     node, spin_until = client
     reports = {}
@@ -244,86 +277,6 @@ def test_diagnostics_tell_pace_slack_and_recorders(start, client):
     assert len(process.stderr.splitlines()) < 10, process.stderr
 
 
-# --- other subscribers, and nodes that die
-
-
-def test_subscribers_that_stop_or_die_leave_no_gap(start, tmp_path):
-    script = tmp_path / "subscriber"
-    script.write_text(SUBSCRIBER)
-    script.chmod(0o755)
-    slow, dying = start(str(script)), start(str(script))
-    logger = start("logger_node", output="bag")
-    simulator = start("sim_node", time_scale=0, wait_for_recorder=True)
-    bag = tmp_path / "bag" / "bag_0.mcap"
-    for subscriber in (slow, dying):
-        subscriber.wait_for_line("got")
-
-    def grows(size):
-        ros_harness.wait_until(lambda: bag.stat().st_size > size, 60, "the recording")
-        return bag.stat().st_size
-
-    size = grows(300_000)
-    slow.send(signal.SIGSTOP)
-    size = grows(size + 1_000_000)
-    dying.kill()
-    late = start(str(script))
-    late.wait_for_line("got")
-    grows(size + 1_000_000)
-    slow.send(signal.SIGCONT)
-    assert simulator.stop() == 0 and logger.stop() == 0
-    assert " 0 lost" in logger.stdout
-    for topic in ("/bead_states", "/tether_states"):
-        steps = recorded_steps(tmp_path / "bag", topic)
-        assert steps == list(range(len(steps))) and len(steps) > 1000
-
-
-def test_killed_nodes_are_not_missed_and_can_come_back(start, client, tmp_path):
-    node, spin_until = client
-    bags = (f"bag{i}" for i in itertools.count())
-    given = {
-        "sim_node": lambda: {"time_scale": 200},
-        "stability_node": dict,
-        "logger_node": lambda: {"output": next(bags)},
-    }
-    running = {name: start(name, **parameters()) for name, parameters in given.items()}
-    simulator = ros_harness.Simulator(node, spin_until)
-    floquet = node.create_client(ComputeFloquet, "/stability_node/compute_floquet")
-
-    def simulates():
-        del simulator.beads[:]
-        simulator.wait_for_step(1)
-
-    def computes():
-        # Until the middleware gives up a killed node, it may get the requests for the new one.
-        request = ComputeFloquet.Request(spin_rate_ratio=[-2.5])
-        answered = ros_harness.ask_until_answered(floquet, request)
-        spin_until(answered, ros_harness.START_S, "multipliers")
-
-    def records():
-        def newest():
-            return max(tmp_path.glob("bag*/*.mcap"), key=lambda file: file.parent.name)
-
-        file = ros_harness.wait_until(newest, ros_harness.START_S, "a bag")
-        size = file.stat().st_size
-        spin_until(lambda: file.stat().st_size > size, ros_harness.START_S, "more in the bag")
-
-    works = {"sim_node": simulates, "stability_node": computes, "logger_node": records}
-    for work in works.values():
-        work()
-    for victim in running:
-        running[victim].kill()
-        others = set(works) - {victim} - ({"logger_node"} if victim == "sim_node" else set())
-        for name in others:  # without a simulator there is nothing to record
-            works[name]()
-        running[victim] = start(victim, **given[victim]())
-        if victim == "logger_node":
-            spin_until(lambda: (tmp_path / "bag1").exists(), ros_harness.START_S, "a new bag")
-        for work in works.values():
-            work()
-    for process in running.values():
-        assert process.stop() == 0, process.stderr
-
-
 # --- under load
 
 
@@ -352,8 +305,3 @@ def test_requests_are_answered_while_a_stiff_system_is_integrated(start, client)
     timed("reset", lambda: simulator.do(ResetSimulation))
     assert times["reset"] < 5.0, times  # the equilibrium of 999 beads has to be found
     assert process.stop() == 0, process.stderr
-
-
-def test_random_requests_are_answered_rightly_or_refused(tmp_path):
-    growth = request_fuzzer.run(tmp_path, 400, seed=20)
-    assert all(kib < 20 * 1024 for kib in growth.values()), growth

@@ -1,0 +1,64 @@
+"""A bag played back into ROS."""
+
+import time
+
+import numpy as np
+import pytest
+import ros_harness
+from ros_harness import START_S, Process
+from rosgraph_msgs.msg import Clock
+from small_bag import Bag
+from std_srvs.srv import SetBool
+from tss_interfaces.msg import BeadStates, SystemDescription
+
+from tss_ros.ros.topics import read_topics
+
+#: Steps of the bag, of which the first are passed over, and their period [s] of simulation time.
+STEPS, FIRST, PERIOD_S = 400, 20, 0.25
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag of two beads, with steps of simulation time."""
+    bag = Bag(tmp_path / "bag")
+    bag.describe()
+    for number in range(STEPS):
+        bag.step(number)
+    bag.writer.close()
+    return bag
+
+
+def test_playback_pauses_keeps_pace_and_repeats_every_message(bag, tmp_path):
+    rate, begin_s = 50.0, FIRST * PERIOD_S
+    with ros_harness.client_node() as (node, spin_until):
+        got, described, clocks = [], [], []
+        topics = read_topics()
+        for name, kind, act in (
+            ("bead_states", BeadStates, lambda m: got.append((time.monotonic(), m))),
+            ("system_description", SystemDescription, described.append),
+        ):
+            node.create_subscription(kind, name, act, topics[name].qos)
+        node.create_subscription(Clock, "/clock", clocks.append, 10)
+        arguments = [str(bag.writer.directory), "--rate", str(rate), "--start", str(begin_s)]
+        player = Process("play", tmp_path, [*arguments, "--paused"])
+        try:
+            client = node.create_client(SetBool, "/play/pause")
+            spin_until(client.service_is_ready, START_S, "the player")
+            spin_until(lambda: node.count_publishers("/bead_states"), 10, "its topics")
+            begun = time.monotonic()
+            spin_until(lambda: time.monotonic() > begun + 1.5, 5, "its patience")
+            assert got == []
+            answer = client.call_async(SetBool.Request(data=False))
+            spin_until(answer.done, 10, "an answer")
+            spin_until(lambda: not player.running, 30, "the end")
+            spin_until(lambda: got and got[-1][1].step == STEPS - 1, 10, "the last step")
+        finally:
+            player.kill()
+    assert player.wait(0) == 0, player.stderr
+    assert [message.step for _, message in got] == list(range(FIRST, STEPS))
+    sent = np.array([message.position_m for _, message in got])
+    written = np.array([beads.position_m for beads, _ in bag.written[FIRST:]])
+    np.testing.assert_array_equal(sent, written)
+    assert described[0].scenario == "pair" and clocks
+    wall_s = got[-1][0] - got[0][0]
+    assert wall_s == pytest.approx((STEPS - 1 - FIRST) * PERIOD_S / rate, rel=0.2)

@@ -1,0 +1,65 @@
+"""Topics have the QoS of recording.yaml, unless the parameters of a node say otherwise."""
+
+import pytest
+import ros_harness
+
+from tss_ros.ros.topics import read_topics
+
+
+def test_topics_have_the_qos_of_the_file_unless_overridden(start, client):
+    node, spin_until = client
+    simulator = start(
+        "sim_node",
+        **{
+            "qos_overrides./markers.publisher.reliability": "best_effort",
+            "qos_overrides./bead_states.publisher.depth": 77,
+        },
+    )
+    expected = {
+        name: (topic.depth, "RELIABLE", topic.durability)
+        for name, topic in read_topics().items()
+        if topic.publisher == "sim_node" and name != "/tf"
+    }
+    expected["markers"] = (1000, "BEST_EFFORT", "volatile")
+    expected["bead_states"] = (77, "RELIABLE", "volatile")
+
+    def offered():
+        found = {
+            name: [
+                (i.qos_profile.reliability.name, i.qos_profile.durability.name.lower())
+                for i in node.get_publishers_info_by_topic(name)
+            ]
+            for name in expected
+        }
+        return all(found.values()) and found
+
+    found = spin_until(offered, ros_harness.START_S, "every topic")
+    assert found == {name: [qos[1:]] for name, qos in expected.items()}
+    # The middleware does not tell depths to others; the node's parameters do.
+    sim = ros_harness.Simulator(node, spin_until)
+    refused = sim.set(**{"qos_overrides./bead_states.publisher.depth": 78})
+    assert not refused.successful and "read-only" in refused.reason
+    assert simulator.stop() == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"qos_overrides./markers.publisher.reliability": "perhaps"}, "perhaps"),
+        ({"qos_overrides./markers.publisher.depth": 0}, "depth is 0; allowed: 1 to 1000000"),
+        ({"qos_overrides./markers.publisher.depth": "x"}, "depth"),
+        ({"publish_tf": True}, "/tf needs the package tf2_msgs"),
+    ],
+)
+def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expected):
+    if "publish_tf" in given:
+        try:
+            import tf2_msgs  # noqa: F401
+
+            pytest.skip("tf2_msgs is installed here")
+        except ModuleNotFoundError:
+            pass
+    process = start("sim_node", **given)
+    assert process.wait(ros_harness.START_S) == 1
+    (line,) = process.stderr.splitlines()
+    assert line.startswith("sim_node: ") and expected in line

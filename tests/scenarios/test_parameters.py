@@ -1,0 +1,104 @@
+"""The one list of a scenario's parameters agrees with all that takes them."""
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from tss_interfaces.msg import SystemDescription
+
+from tss_ros.core import System, formation
+from tss_ros.scenarios import parameters, scenario
+from tss_ros.scenarios.parameters import FORMATION, GRAPH, HEADING, SCENARIO, names
+from tss_ros.sweeps.command import main as sweep
+
+#: Of `formation`, but not for scenarios: the shape, and switches for closed-form checks.
+OTHERS = {"shape", "linear_gravity", "bilateral"}
+#: What the description of a run says of beads and segments, where it has another name.
+IN_MESSAGE = {"satellite_mass_kg": "mass_kg", "tether_length_m": "rest_length_m"}
+
+
+def test_it_has_the_parameters_and_defaults_of_a_formation():
+    signature = inspect.signature(formation).parameters
+    expected = {name: p.default for name, p in signature.items() if name not in OTHERS}
+    assert {p.name: p.default for p in FORMATION} == expected
+    assert names(FORMATION) == tuple(expected)
+
+
+@pytest.mark.parametrize("parameter", FORMATION, ids=lambda p: p.name)
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
+def test_the_core_builds_what_it_allows(parameter, end):
+    value = parameter.type(getattr(parameter, end))
+    assert formation("chain", **{parameter.name: value}).n >= 2
+
+
+@pytest.mark.parametrize("parameter", FORMATION, ids=lambda p: p.name)
+def test_a_list_is_allowed_where_the_core_takes_one(parameter):
+    # Three satellites on a line, two tethers of two segments and one bead each.
+    elements = {"satellite": 3, "tether": 2, "tether or segment": 4, "tether or bead": 2, "": 1}
+    given = {"satellites": 3, "beads_per_tether": 1}
+    value = [parameter.default] * elements[parameter.per_element]
+    if parameter.per_element:
+        formation("chain", **{**given, parameter.name: value})
+    else:
+        with pytest.raises(ValueError, match=parameter.name):
+            formation("chain", **{**given, parameter.name: value})
+
+
+@pytest.mark.parametrize("parameter", SCENARIO, ids=lambda p: p.name)
+def test_messages_give_the_same_quantity_in_the_same_unit(parameter):
+    name = IN_MESSAGE.get(parameter.name, parameter.name)
+    fields = SystemDescription.get_fields_and_field_types()
+    if name not in fields:
+        # How many there are follows from the lists of names.
+        assert parameter.type is int or parameter.name == "bead_mass_kg"
+        return
+    folder = Path(get_package_share_directory("tss_interfaces")) / "msg"
+    definition = (folder / "SystemDescription.msg").read_text()
+    (unit,) = re.findall(rf"^float64(?:\[\])? {name} +# \[([^]]+)\]", definition, re.MULTILINE)
+    assert unit == parameter.unit
+    assert fields[name] == ("sequence<double>" if parameter.per_element else "double")
+    assert name == "spin_rate_ratio" or name in System.__dataclass_fields__
+
+
+def test_shipped_scenarios_have_no_other_parameters():
+    folder = Path(scenario.__file__).parent
+    for path in folder.glob("*.yaml"):
+        content = yaml.safe_load(path.read_text())
+        assert content.keys() <= {"description", "formation", *names(SCENARIO)}, path
+
+
+def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_path):
+    file = tmp_path / "two.yaml"
+    tether = "{between: [a, b], length_m: 10.0, axial_stiffness_n: 1.0, damping_n_s_per_m: 0.0}"
+    file.write_text(
+        "bodies: [{name: a, mass_kg: 1.0, position_m: [0, 5, 0]},"
+        f" {{name: b, mass_kg: 1.0, position_m: [0, -5, 0]}}]\ntethers: [{tether}]\n"
+        "spin_rate_ratio: -2\n"
+    )
+    loaded = scenario.load(file)
+    assert names(GRAPH) == ("orbit_altitude_m", "spin_rate_ratio")
+    assert loaded.build().orbit_altitude_m == 1e6
+    assert loaded.build({"orbit_altitude_m": 400e3}).orbit_altitude_m == 400e3
+    for name in set(names(SCENARIO)) - set(names(GRAPH)):
+        with pytest.raises(ValueError, match=f"^{name} is not a parameter of scenario"):
+            loaded.build({name: 1})
+
+
+def test_the_help_of_a_sweep_names_what_it_varies(capsys):
+    with pytest.raises(SystemExit):
+        sweep(["--help"])
+    shown = capsys.readouterr().out.split("parameter to vary:")[1].split("--values")[0]
+    assert shown.replace(",", " ").split() == list(names(parameters.VARIED))
+
+
+def test_tables_have_a_text_for_every_column():
+    for parameter in SCENARIO:
+        row = dict(zip(HEADING, parameter.row, strict=True))
+        assert row["parameter"] == parameter.name and row["unit"] == parameter.unit
+        assert row["meaning"].startswith(parameter.meaning) and "[" not in row["meaning"]
+        assert all(row[title] for title in ("type", "allowed", "meaning"))
+        if parameter.default is not None:
+            assert float(row["default"]) == parameter.default

@@ -1,0 +1,98 @@
+"""A simulator among recorders and subscribers that come late, are slow, stop or die."""
+
+import signal
+import sys
+import time
+
+import numpy as np
+import ros_harness
+from recorded import messages_by_topic, recorded_steps
+from rosgraph_msgs.msg import Clock
+
+SUBSCRIBER = f"""#!{sys.executable}
+import rclpy
+from tss_interfaces.msg import BeadStates
+rclpy.init()
+node = rclpy.create_node("subscriber")
+node.create_subscription(BeadStates, "bead_states", lambda message: print("got", flush=True), 10)
+rclpy.spin(node)
+"""
+
+
+def test_late_and_slow_recorder_gets_every_step_from_then_on(start):
+    """Without a recorder the simulator runs freely; with one it waits for it when need be."""
+    simulator = start("sim_node", time_scale=0)
+    bag = simulator.directory / "bag" / "bag_0.mcap"
+    with ros_harness.client_node() as (node, spin_until):
+        arrivals = {}  # when each time arrived first
+        node.create_subscription(
+            Clock,
+            "/clock",
+            lambda m: arrivals.setdefault((m.clock.sec, m.clock.nanosec), time.monotonic()),
+            10,
+        )
+        spin_until(lambda: len(arrivals) > 5, ros_harness.START_S, "a running clock")
+        logger = start("logger_node", output="bag")
+        recorded = ros_harness.START_S, "a recording"
+        spin_until(lambda: bag.exists() and bag.stat().st_size > 200_000, *recorded)
+        logger.send(signal.SIGSTOP)
+        newest = lambda: max(arrivals.values())  # noqa: E731
+        spin_until(lambda: time.monotonic() - newest() > 0.3, 1.5, "the simulator to wait")
+        logger.send(signal.SIGCONT)
+        spin_until(lambda: bag.stat().st_size > 500_000, *recorded)
+    assert simulator.stop() == 0
+    assert logger.stop() == 0
+    assert " 0 lost" in logger.stdout
+    messages = messages_by_topic(bag)
+    for topic in ("/bead_states", "/tether_states"):
+        steps = np.array([message.step for _, message in messages[topic]])
+        assert steps[0] > 0 and len(steps) > 100
+        np.testing.assert_array_equal(np.diff(steps), 1)
+
+
+def test_simulator_outlives_a_killed_recorder(start):
+    logger = start("logger_node", output="bag")
+    simulator = start("sim_node", time_scale=0, wait_for_recorder=True)
+    bag = logger.directory / "bag" / "bag_0.mcap"
+    ros_harness.wait_until(
+        lambda: bag.exists() and bag.stat().st_size > 200_000, ros_harness.START_S, "a recording"
+    )
+    logger.kill()
+    with ros_harness.client_node() as (node, spin_until):
+        clocks = []
+        node.create_subscription(Clock, "/clock", lambda message: clocks.append(message.clock), 10)
+        spin_until(lambda: clocks, 30, "the clock")
+        simulator.wait_for_line("is silent; going on without it")
+        seen = len(clocks)
+        spin_until(lambda: len(clocks) > seen + 10, 10, "the clock going on")
+    assert simulator.stop() == 0
+
+
+def test_subscribers_that_stop_or_die_leave_no_gap(start, tmp_path):
+    script = tmp_path / "subscriber"
+    script.write_text(SUBSCRIBER)
+    script.chmod(0o755)
+    slow, dying = start(str(script)), start(str(script))
+    logger = start("logger_node", output="bag")
+    simulator = start("sim_node", time_scale=0, wait_for_recorder=True)
+    bag = tmp_path / "bag" / "bag_0.mcap"
+    for subscriber in (slow, dying):
+        subscriber.wait_for_line("got")
+
+    def grows(size):
+        ros_harness.wait_until(lambda: bag.stat().st_size > size, 60, "the recording")
+        return bag.stat().st_size
+
+    size = grows(300_000)
+    slow.send(signal.SIGSTOP)
+    size = grows(size + 1_000_000)
+    dying.kill()
+    late = start(str(script))
+    late.wait_for_line("got")
+    grows(size + 1_000_000)
+    slow.send(signal.SIGCONT)
+    assert simulator.stop() == 0 and logger.stop() == 0
+    assert " 0 lost" in logger.stdout
+    for topic in ("/bead_states", "/tether_states"):
+        steps = recorded_steps(tmp_path / "bag", topic)
+        assert steps == list(range(len(steps))) and len(steps) > 1000

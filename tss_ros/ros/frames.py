@@ -1,0 +1,45 @@
+"""The frames on /tf: the orbit frame in the inertial one, and every bead in the orbit frame."""
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Header
+
+from tss_ros.core import System
+from tss_ros.ros.messages import FRAME_ID, stamp
+
+#: The frame at rest in the Earth's centre whose axes the orbit frame has at time 0.
+INERTIAL_FRAME_ID = "inertial"
+
+
+def transforms(
+    system: System, time_ns: int, position_m: np.ndarray, prefix: str = ""
+) -> list[TransformStamped]:
+    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
+
+    Parameters
+    ----------
+    system : System
+    time_ns : int
+    position_m : ndarray, shape (n, 3)
+    prefix : str
+
+    Returns
+    -------
+    list of geometry_msgs.msg.TransformStamped
+        n + 1 of them. The orbit frame turns about z with the orbital rate, y pointing away from the
+        Earth; beads have no attitude.
+    """
+    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
+    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
+    names = [FRAME_ID, *system.bead_name]
+    header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
+    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
+    frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
+    frames[0].transform.rotation.z = math.sin(angle / 2.0)
+    frames[0].transform.rotation.w = math.cos(angle / 2.0)
+    for frame, (x, y, z) in zip(frames, [centre_m.tolist(), *position_m.tolist()]):
+        place = frame.transform.translation
+        place.x, place.y, place.z = x, y, z
+    return frames

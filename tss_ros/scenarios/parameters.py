@@ -1,0 +1,179 @@
+"""The one list of a scenario's parameters: names, types, units, ranges, meanings and defaults.
+
+Scenario files, the nodes' parameters, overrides in requests, what a sweep may vary and the tables
+of the documentation all come from here.
+"""
+
+import array
+import math
+import numbers
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tss_ros.core import TssError
+
+#: Largest system, in satellites and tether beads together, that a node builds.
+MAX_BEADS = 1000
+#: Types of values, in words.
+_KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
+#: Titles of the columns that `Parameter.row` fills.
+HEADING = ("parameter", "type", "unit", "default", "allowed", "meaning")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter.
+
+    Attributes
+    ----------
+    name : str
+    type : type
+        str, bool, int or float; an int is accepted where a float is meant.
+    meaning : str
+        What it is, in words that a unit may follow.
+    unit : str
+        SI unit, "-" for a number without one, "" where there is nothing to measure.
+    minimum, maximum : float, optional
+        What a node accepts, ends included; None where any value will do.
+    default : optional
+        Its value where none is given; None if a value has to be given or comes from elsewhere.
+    per_element : str
+        What may have a value each, given as a list instead of one value for all; "" for nothing.
+    note : str
+        More about it, as a clause; "" for nothing.
+    """
+
+    name: str
+    type: type
+    meaning: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    default: object = None
+    per_element: str = ""
+    note: str = ""
+
+    @property
+    def text(self) -> str:
+        """Meaning, unit and note as a sentence."""
+        return self._sentence(f" [{self.unit}]" if self.unit else "")
+
+    @property
+    def allowed_value(self) -> str:
+        """What one value may be, in words."""
+        kind = _KINDS[self.type]
+        if self.minimum is None:
+            return kind
+        return f"{kind} from {self.minimum:.12g} to {self.maximum:.12g}"
+
+    @property
+    def allowed(self) -> str:
+        """What is allowed, in words."""
+        return self.allowed_value + (
+            " for all, or a list with one for each" if self.per_element else ""
+        )
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What a table says of it: texts for the columns of `HEADING`."""
+        several = f", or a list: one per {self.per_element}" if self.per_element else ""
+        default = "" if self.default is None else _shown(self.default)
+        kind = self.type.__name__ + several
+        return self.name, kind, self.unit, default, self.allowed_value, self._sentence()
+
+    def check(self, value: object) -> object:
+        """Return `value` as this parameter's type, or a list of it.
+
+        Raises
+        ------
+        TssError
+            Naming the parameter, the value and what is allowed.
+        """
+        if not (self.per_element and isinstance(value, (list, array.array))):
+            return self._check_one(self.name, value)
+        if not 1 <= len(value) <= MAX_BEADS:
+            raise TssError(f"{self.name} has {len(value)} elements; allowed: 1 to {MAX_BEADS}")
+        return [self._check_one(f"{self.name}[{i}]", element) for i, element in enumerate(value)]
+
+    def _sentence(self, unit=""):
+        return f"{self.meaning}{unit}{'; ' + self.note if self.note else ''}."
+
+    def _check_one(self, name, value):
+        if self.type in (int, float):
+            base = numbers.Integral if self.type is int else numbers.Real
+            fits = isinstance(value, base) and not isinstance(value, bool) and math.isfinite(value)
+            fits = fits and (self.minimum is None or self.minimum <= value <= self.maximum)
+        else:
+            fits = isinstance(value, self.type)
+        if not fits:
+            shown = "nothing" if value is None else f"{value!r:.80}"
+            allowed = self.allowed if name == self.name else self.allowed_value
+            raise TssError(f"{name} is {shown}; allowed: {allowed}")
+        return self.type(value)
+
+
+#: Parameters of a formation, with the defaults of `tss_ros.core.formation`.
+FORMATION = (
+    Parameter(
+        "satellites", int, "Number of satellites",
+        minimum=2, maximum=MAX_BEADS, default=3,
+        note="hub and apexes are not counted",
+    ),
+    Parameter(
+        "satellite_mass_kg", float, "Mass of the satellites", "kg",
+        minimum=1e-3, maximum=1e9, default=100.0,
+        per_element="satellite", note="hub and apexes included",
+    ),
+    Parameter(
+        "tether_length_m", float, "Unstretched length of the tethers", "m",
+        minimum=1e-2, maximum=1e7, default=10e3,
+        per_element="tether or segment",
+    ),
+    Parameter(
+        "axial_stiffness_n", float, "EA of the tethers", "N",
+        minimum=1e-3, maximum=1e12, default=5e4,
+        per_element="tether or segment",
+    ),
+    Parameter(
+        "damping_n_s_per_m", float, "C of the tethers", "N s/m",
+        minimum=0.0, maximum=1e9, default=1450.0,
+        per_element="tether or segment", note="from end to end of a tether, or of a segment",
+    ),
+    Parameter(
+        "beads_per_tether", int, "Number of beads on each tether",
+        minimum=0, maximum=MAX_BEADS, default=0,
+        per_element="tether",
+    ),
+    Parameter(
+        "bead_mass_kg", float, "Mass of the tether beads", "kg",
+        minimum=1e-6, maximum=1e9, default=10.0,
+        per_element="tether or bead",
+    ),
+    Parameter(
+        "orbit_altitude_m", float, "Height of the circular orbit", "m",
+        minimum=0.0, maximum=1e9, default=1.0e6,
+        note="above 6378 km",
+    ),
+)  # fmt: skip
+SPIN_RATE_RATIO = Parameter(
+    "spin_rate_ratio", float, "Spin rate over orbital rate in the orbit frame", "-",
+    minimum=-1e4, maximum=1e4,
+    note="not zero, negative: clockwise",
+)  # fmt: skip
+#: Parameters of a scenario.
+SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
+#: What of them a scenario has that spells out its bodies and tethers.
+GRAPH = tuple(p for p in SCENARIO if p.name in ("orbit_altitude_m", "spin_rate_ratio"))
+#: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
+VARIED = FORMATION
+
+
+def names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
+    """The names of some parameters, in their order."""
+    return tuple(parameter.name for parameter in parameters)
+
+
+def _shown(value):
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.12g}" if isinstance(value, (int, float)) else str(value)
