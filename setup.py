@@ -80,5 +80,14 @@ setup(
             "setuptools>=69,<80",  # later ones lack the `develop` options that colcon uses
             "empy>=3.3,<4",  # the message generators of Jazzy are written for empy 3
         ],
+        # what `make docs` needs besides
+        "docs": [
+            "sphinx>=8.1",
+            "numpydoc>=1.8",
+            "myst-parser>=4.0",
+            "sphinx-gallery>=0.18",
+            "sphinx-design>=0.6",
+            "pydata-sphinx-theme>=0.16",
+        ],
     },
 )
