@@ -4,7 +4,8 @@ Why the frozen method shows no critical rate
 
 The paper takes the Jacobian of the motion at one instant and treats it as if it stayed the same for
 the whole turn, Eqs. (34) to (47). Floquet theory integrates the variations along the motion, Eqs.
-(12) to (27). One case has a closed form, and a simulation beside it tells the same: the frozen method misses the growth.
+(12) to (27). One case has a closed form, and a simulation stands beside it: the frozen method
+misses the growth.
 """
 
 import cmath
@@ -30,7 +31,7 @@ plt.rcParams.update({"grid.color": "0.9", "axes.axisbelow": True, "figure.dpi": 
 #
 # .. math:: \lambda^4 + [(2s-1)^2 + 4] \lambda^2 + (2s-1)(2s+2) = 0, \qquad s = 1 + w.
 #
-# A ring comes close to a rigid one if its tethers may also push (``bilateral``) and have no damping.
+# A ring comes close to a rigid one if its tethers may also push (``bilateral``) and do not damp.
 
 
 def tilt_growth(w):
@@ -64,8 +65,8 @@ closed_form = np.array([tilt_growth(w) for w in RATES])
 difference = np.abs(true / closed_form - 1.0)
 worst = np.nanargmax(difference)
 print(
-    f"monodromy and closed form: {100 * difference[worst]:.1f} % apart at {RATES[worst]:.2f}, an end"
-    f" of the band; median {100 * np.nanmedian(difference):.4f} %"
+    f"monodromy and closed form: {100 * difference[worst]:.1f} % apart at {RATES[worst]:.2f}, an"
+    f" end of the band; median {100 * np.nanmedian(difference):.4f} %"
 )
 print(f"frozen: |rho| at most {np.nanmax(frozen):.5f} at all {np.isfinite(frozen).sum()} rates")
 

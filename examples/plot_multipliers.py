@@ -41,7 +41,7 @@ result = compute_floquet(system, SPIN_RATE_RATIO)
 print(f"{result.verdict}; the turn closes to {result.closure_residual:.1e}")
 for name in FAMILIES:
     moduli = [abs(m) for m, f in zip(result.multiplier, result.family) if f == name]
-    print(f"{name:15s}{len(moduli):3d} multipliers, |rho| from {min(moduli):.6f} to {max(moduli):.6f}")
+    print(f"{name:15s}{len(moduli)} multipliers, |rho| {min(moduli):.6f} to {max(moduli):.6f}")
 
 # %%
 # Many rates

@@ -99,8 +99,8 @@ print(f"Python and YAML give the same formation: {same}")
 # Its steady state
 # ----------------
 #
-# :func:`~tss_ros.core.averaged_state` is the rotating equilibrium under the gravity gradient averaged
-# over a turn. With k = Omega^2 (w^2 + 2 w + 3/2) the balance of a rigid rhombus gives
+# :func:`~tss_ros.core.averaged_state` is the rotating equilibrium under the gravity gradient
+# averaged over a turn. With k = Omega^2 (w^2 + 2 w + 3/2) the balance of a rigid rhombus gives
 #
 # .. math:: T_\text{rim} = \tfrac12 m_\text{tip} k L, \qquad
 #     T_\text{diagonal} = \tfrac12 (m_\text{diagonal} - m_\text{tip}) k L.
@@ -133,8 +133,8 @@ for found in critical:
     print(f"{found.cause} at {found.spin_rate_ratio:.3f} +- {found.uncertainty:.3f}")
 
 # %%
-# Beyond the critical rate no tether ever goes slack. Towards it their least stretch in a turn shrinks
-# to nothing, that of the rim and that of the diagonal alike.
+# In a faster spin no tether ever goes slack. Towards the critical rate their least stretch in a
+# turn shrinks to nothing, that of the rim and that of the diagonal alike.
 
 rates = np.linspace(-3.0, -1.8, 49)
 least_stretch_m = np.full((len(rates), 2), np.nan)

@@ -78,7 +78,7 @@ figure = plt.figure(figsize=(10.0, 9.0), layout="constrained")
 grid = figure.add_gridspec(3, 2, height_ratios=(2.5, 1.0, 1.0))
 titles = {-2.5: "ω = -2.5 Ω: the ring holds", -2.0: "ω = -2.0 Ω: the ring is lost"}
 drawn_turns = {-2.5: 8, -2.0: 4}
-for column, (ratio, (turns, position_m, taut, _)) in enumerate(motions.items()):
+for column, (ratio, (turns, position_m, *_)) in enumerate(motions.items()):
     plan = figure.add_subplot(grid[0, column])
     shown = turns <= drawn_turns[ratio]
     path_km = position_m[shown] / 1e3

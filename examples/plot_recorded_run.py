@@ -3,8 +3,8 @@ A recorded run in pandas
 ========================
 
 A run recorded by the ROS nodes becomes tables: one row per step and satellite, one per step and
-tether. Here a simulator and a recorder run for four turns, and pandas reads what they leave: how the
-push dies out, and how the tension of the tethers swings.
+tether. Here a simulator and a recorder run for four turns, and pandas reads what they leave: how
+the push dies out, and how the tension of the tethers swings.
 """
 
 import contextlib
@@ -67,8 +67,8 @@ print(beads.tail(3).to_string())
 # How the push dies out
 # ---------------------
 #
-# All satellites have the same mass, so the centre of mass is the mean of their places. The deviation
-# from there tells about the shape, whatever the drift along the orbit.
+# All satellites have the same mass, so the centre of mass is the mean of their places. The
+# deviation from there tells about the shape, whatever the drift along the orbit.
 
 axes_m = ["x_m", "y_m", "z_m"]
 place_m = beads[axes_m]
@@ -85,9 +85,9 @@ print((100 * per_turn).map("{:.4f} %".format).to_string())
 # ----------------------
 #
 # A rigid triangle has a closed form: with theta the angle of a tether from the direction of flight,
-# its tension is (M L / 3) Omega^2 (w^2 + 2 w + 3/2 - 3 cos 2 theta). It swings twice a turn. At this
-# rate its least value lies just below zero. Eq. (6) allows that: the damping of a stretched tether
-# may push. The tethers do not go slack.
+# its tension is (M L / 3) Omega^2 (w^2 + 2 w + 3/2 - 3 cos 2 theta). It swings twice a turn. At
+# this rate its least value lies just below zero. Eq. (6) allows that: the damping of a stretched
+# tether may push. The tethers do not go slack.
 
 w = SPIN_RATE_RATIO
 scale_n = recording.mass_kg[0] * recording.rest_length_m[0] / 3.0 * recording.orbit_rate_rad_s**2
@@ -107,7 +107,7 @@ print(f"slack after the first turn: {(~settled['taut']).sum()} of {len(settled)}
 
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 6.6), sharex=True, layout="constrained")
 top.semilogy(shape.index, 100 * shape, color=INK, linewidth=1.2)
-top.set_title("The push dies out within half a turn; the ring breathes on with the gravity gradient")
+top.set_title("The push dies out within half a turn; the gravity gradient keeps the ring breathing")
 top.set_ylabel("largest deviation from\nthe centre of mass [%]")
 top.yaxis.set_minor_formatter(NullFormatter())
 top.set_yticks(percents := [0.002, 0.005, 0.01, 0.02, 0.05], [f"{p:g}" for p in percents])
