@@ -68,6 +68,7 @@ setup(
             "pytest-xdist>=3.6",
             "hypothesis>=6.100",
             "rosbags>=0.11",
+            "pandas>=2.2.3",  # for the examples
             "import-linter>=2.15",
             "ruff>=0.15",
             "colcon-ros>=0.5",
