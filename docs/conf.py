@@ -73,3 +73,18 @@ html_theme_options = {
 }
 html_sidebars = {"index": [], "tutorial": [], "architecture": []}
 copyright = "tss_ros maintainers, Apache License 2.0"
+
+
+def escape_bars(app, what, name, obj, options, lines):
+    """Keep the bars of |rho| in docstrings from being read as reStructuredText."""
+    lines[:] = ["".join(_outside_literals(line)) for line in lines]
+
+
+def _outside_literals(line):
+    for i, part in enumerate(line.split("``")):
+        yield ("``" if i else "") + (part if i % 2 else part.replace("|", r"\|"))
+
+
+def setup(app):
+    """Connect the above, after numpydoc has read the docstring."""
+    app.connect("autodoc-process-docstring", escape_bars, priority=900)
