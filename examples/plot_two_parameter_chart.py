@@ -3,7 +3,7 @@ A chart of damping against spin rate
 ====================================
 
 How fast must the three-satellite ring spin? It depends on the damping of its tethers, which the
-paper does not state. Here is the answer for every damping up to 3000 N s/m, computed on all cores,
+paper does not state. Here is the answer for dampings up to 3000 N s/m, computed on all cores,
 with the closed form for a rigid triangle drawn over it.
 """
 
