@@ -74,7 +74,7 @@ print(f"frozen: |rho| at most {np.nanmax(frozen):.5f} at all {np.isfinite(frozen
 # What a simulation does
 # ----------------------
 #
-# Every satellite is moved out of the orbit plane by at most a few millimetres, at w = -1.5. If the
+# Every satellite is moved out of the orbit plane by a millimetre or less, at w = -1.5. If the
 # multipliers are right, the displacement grows with the largest of them, turn by turn.
 
 SPIN_RATE_RATIO, TURNS = -1.5, 6
