@@ -56,6 +56,7 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "tss_ros"
+templates_path = ["_templates"]
 html_static_path = ["_static"]
 html_css_files = ["tss.css"]
 html_show_sourcelink = False

@@ -235,8 +235,8 @@ def parameters():
         text += "|---|---|---|---|---|---|\n"
         for p in entries:
             kind = kinds[p.type] + ("(s)" if p.per_element else "")
-            bounds = "" if p.minimum is None else f"{p.minimum:.12g} to {p.maximum:.12g}"
-            default = "the scenario's" if p.default is None else f"`{p.default!r}`"
+            bounds = "" if p.minimum is None else f"{p.minimum:g} to {p.maximum:g}"
+            default = "scenario's" if p.default is None else f"`{p.default!r}`"
             cells = (f"`{p.name}`", kind, bounds, default, p.applies, p.text)
             text += "| " + " | ".join(map(_cell, cells)) + " |\n"
     return text
