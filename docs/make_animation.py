@@ -1,8 +1,8 @@
 """Draws docs/ring.gif: a ring that holds its shape after a push, beside one that does not.
 
-Run as ``python docs/make_animation.py`` in an activated shell. Both rings are the paper's, seen from
-the orbit's north in the orbit frame, about their centre of mass; slack tethers are red. A slack
-tether has no shape in the model: its bow is drawn for the eye.
+Run as ``python docs/make_animation.py`` in an activated shell. Both rings are the paper's, seen
+from the orbit's north in the orbit frame, about their centre of mass; slack tethers are red. A
+slack tether has no shape in the model: its bow is drawn for the eye.
 """
 
 from pathlib import Path

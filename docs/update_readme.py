@@ -1,7 +1,6 @@
 """Puts what `make demo` printed into README.md, between its two markers.
 
-    make demo | tee demo.log
-    python docs/update_readme.py demo.log
+Run ``make demo | tee demo.log``, then ``python docs/update_readme.py demo.log``.
 """
 
 import sys

@@ -59,7 +59,8 @@ def test_readme_shows_what_the_demo_computes():
 
 
 def test_demo_output_is_cut_out_of_a_log():
-    log = "tss_ros: done\nturn 1\n\n rate/Omega  x\n      -1.5  1\n\nfirst line.\nsecond\n\nruns/demo/bag\n"
+    log = "tss_ros: done\nturn 1\n\n rate/Omega  x\n      -1.5  1\n\nfirst line.\nsecond\n"
+    log += "\nruns/demo/bag\n"
     assert update_readme.results(log) == [
         " rate/Omega  x",
         "      -1.5  1",
@@ -78,6 +79,14 @@ def test_python_of_the_front_page_runs():
     assert names["position_m"].shape == (3, 3, 3)
 
 
+@pytest.mark.parametrize("page", ["tutorial.md", "howto/scenario.md"])
+def test_python_of_the_pages_runs(page):
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", (DOCS / page).read_text("utf-8"), re.S):
+        exec(code, names)
+    assert names["result"].verdict == "asymptotically stable"
+
+
 # ---------------------------------------------------------------- links and places
 
 
@@ -87,7 +96,7 @@ def prose(path):
 
 
 def made_by_sphinx(path):
-    return {"_generated", "gallery"} & set(path.relative_to(DOCS).parts) if DOCS in path.parents else 0
+    return bool({"_generated", "gallery"} & set(path.parts)) and DOCS in path.parents
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -100,7 +109,7 @@ def test_every_relative_link_leads_to_a_file(page):
 
 def test_links_were_found():
     links = sum(len(re.findall(r"\]\(([^)\s]+)\)", prose(page))) for page in PAGES)
-    assert len(PAGES) > 25 and links > 60
+    assert len(PAGES) > 25 and links > 40
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -168,8 +177,9 @@ def test_every_parameter_topic_and_interface_has_its_row():
 
 
 def test_every_module_says_what_it_holds():
-    empty = [line for line in generate.tree().splitlines() if re.fullmatch(r"\| `.*` \|\s*\|", line)]
-    assert empty == []
+    rows = [line for line in generate.tree().splitlines() if line.startswith("| `")]
+    assert len(rows) > 40
+    assert [row for row in rows if re.fullmatch(r"\| `.*` \|\s*\|", row)] == []
 
 
 def test_api_page_lists_all_public_names():
