@@ -7,6 +7,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import generate  # noqa: E402
+from sphinx.ext import autosummary  # noqa: E402
 
 generate.write()
 
@@ -33,6 +34,8 @@ myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
 autosummary_generate = True
+# A sentence does not end there.
+autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.")
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
@@ -45,7 +48,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": r"__init__\.py|conftest\.py",
     "backreferences_dir": "_generated/backreferences",
     "doc_module": ("tss_ros",),
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "generate.GalleryOrder",
     "abort_on_example_error": True,
     "remove_config_comments": True,
     "download_all_examples": False,

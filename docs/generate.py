@@ -437,6 +437,26 @@ def python_api():
     return text
 
 
+# ---------------------------------------------------------------- gallery
+
+
+class GalleryOrder:
+    """Sorts examples for sphinx-gallery: those a newcomer wants first, then the others by name."""
+
+    FIRST = ("plot_paper_ring.py", "plot_multipliers.py", "plot_frozen_against_true.py")
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __repr__(self):
+        return "GalleryOrder"
+
+    def __call__(self, file_name):
+        """Key of one example."""
+        first = self.FIRST
+        return (first.index(file_name) if file_name in first else len(first), file_name)
+
+
 PARTS = {
     "equations.md": equations,
     "parameters.md": parameters,
