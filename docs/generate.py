@@ -257,25 +257,30 @@ _FOREIGN_TOPICS = {
 def topics():
     """Table of topics, from recording.yaml and the first lines of the message files."""
     entries = yaml.safe_load((ROOT / "msg_configs" / "recording.yaml").read_text(encoding="utf-8"))
-    lines = ["| topic | node | type | recorded | durability | depth | what |"]
-    lines.append("|---|---|---|---|---|---:|---|")
+    lines = ["| topic | node | type | recorded | QoS | what |"]
+    lines.append("|---|---|---|---|---|---|")
     for name, entry in entries.items():
         package, _, kind = entry["type"].split("/")
         if package == "tss_interfaces":
-            what = about(INTERFACES / "msg" / f"{kind}.msg")
+            shown, what = _type(kind), about(INTERFACES / "msg" / f"{kind}.msg")
         else:
-            what = _FOREIGN_TOPICS[name]
+            shown, what = f"{package}/ {kind}", _FOREIGN_TOPICS[name]
         cells = (
             f"`{name}`",
             f"`{entry.get('publisher', 'sim_node')}`",
-            f"`{entry['type']}`",
+            shown,
             "yes" if entry["recorded"] else "no",
-            "latched" if entry["durability"] == "transient_local" else "volatile",
-            entry["depth"],
+            f"{'latched' if entry['durability'] == 'transient_local' else 'volatile'},"
+            f" {entry['depth']}",
             what,
         )
         lines.append("| " + " | ".join(map(_cell, cells)) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _type(name):
+    """A type of tss_interfaces, with a link to its file among the interfaces."""
+    return f"[{name}](interfaces.md#{name.lower()})"
 
 
 def about(path):
@@ -324,8 +329,7 @@ def actions():
 def _offers(kind, word):
     lines = [f"| node | {word} | type | what it does |", "|---|---|---|---|"]
     for node, name, path in offered(kind):
-        kind_name = f"tss_interfaces/{kind}/{path.stem}"
-        lines.append(f"| `{node}` | `~/{name}` | `{kind_name}` | {_cell(about(path))} |")
+        lines.append(f"| `{node}` | `~/{name}` | {_type(path.stem)} | {_cell(about(path))} |")
     return "\n".join(lines) + "\n"
 
 
@@ -359,7 +363,7 @@ def commands():
         main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
         with (
             mock.patch.object(sys, "argv", [name, "--help"]),
-            mock.patch.dict(os.environ, COLUMNS="100", NO_COLOR="1"),
+            mock.patch.dict(os.environ, COLUMNS="84", NO_COLOR="1"),
             contextlib.redirect_stdout(io.StringIO()) as out,
             contextlib.suppress(SystemExit),
         ):
