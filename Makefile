@@ -44,4 +44,4 @@ lock:
 
 clean:
 	rm -rf .venv .venv-benchmarks .docs-packages build install log
-	rm -rf docs/_build docs/_generated docs/gallery docs/sg_execution_times.rst
+	rm -rf docs/_build docs/_generated docs/gallery

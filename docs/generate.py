@@ -327,9 +327,10 @@ def actions():
 
 
 def _offers(kind, word):
-    lines = [f"| node | {word} | type | what it does |", "|---|---|---|---|"]
+    lines = [f"| node | {word} | what it does |", "|---|---|---|"]
     for node, name, path in offered(kind):
-        lines.append(f"| `{node}` | `~/{name}` | {_type(path.stem)} | {_cell(about(path))} |")
+        link = f"[`~/{name}`](interfaces.md#{path.stem.lower()})"
+        lines.append(f"| `{node}` | {link} | {_cell(about(path))} |")
     return "\n".join(lines) + "\n"
 
 
