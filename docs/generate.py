@@ -231,13 +231,13 @@ def parameters():
     }
     text = ""
     for node, entries in nodes.items():
-        text += f"\n## {node}\n\n| parameter | type | allowed | default | changes | meaning |\n"
-        text += "|---|---|---|---|---|---|\n"
+        text += f"\n## {node}\n\n| parameter | meaning | type, range | default | changes |\n"
+        text += "|---|---|---|---|---|\n"
         for p in entries:
             kind = kinds[p.type] + ("(s)" if p.per_element else "")
-            bounds = "" if p.minimum is None else f"{p.minimum:g} to {p.maximum:g}"
+            kind += "" if p.minimum is None else f", {p.minimum:g} to {p.maximum:g}"
             default = "scenario's" if p.default is None else f"`{p.default!r}`"
-            cells = (f"`{p.name}`", kind, bounds, default, p.applies, p.text)
+            cells = (f"`{p.name}`", p.text, kind, default, p.applies)
             text += "| " + " | ".join(map(_cell, cells)) + " |\n"
     return text
 
