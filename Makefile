@@ -1,7 +1,7 @@
-# Everything this makes stays in the checkout: .venv, build, install, log and runs.
+# Everything this makes stays in the checkout: .venv, build, install, log, runs and docs/_build.
 # PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest,
 # BENCHMARKS="--only motion --cases A1" to the benchmarks.
-.PHONY: help setup demo reproduce test benchmarks lock clean
+.PHONY: help setup demo reproduce test benchmarks docs lock clean
 export PYTHON
 
 help:
@@ -9,6 +9,7 @@ help:
 	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
 	@echo 'make test    run every test'
 	@echo 'make benchmarks  measure against public solvers; results in runs/benchmarks/'
+	@echo 'make docs    build the documentation; open docs/_build/html/index.html'
 	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
 	@echo 'make lock    resolve the lock files in requirements/ anew (needs uv)'
 	@echo 'make clean   remove all of it but runs/'
@@ -28,12 +29,19 @@ test: setup
 benchmarks: setup
 	@. ./activate && exec python -m benchmarks $(BENCHMARKS)
 
+docs: setup
+	@. ./activate && exec python docs/build.py
+
 UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
 	--no-emit-index-url --custom-compile-command 'make lock'
 lock:
 	$(UV) setup.py --extra dev --extra cluster -o requirements/python.txt
 	$(UV) requirements/ros.in -c requirements/python.txt -o requirements/ros.txt
 	$(UV) requirements/benchmarks.in -c requirements/python.txt -o requirements/benchmarks.txt
+	# Sphinx bears older versions of these two only, and comes into a folder of its own
+	grep -vE '^(docutils|markdown-it-py)==' requirements/python.txt | \
+		$(UV) setup.py --extra docs -c - -o requirements/docs.txt
 
 clean:
-	rm -rf .venv .venv-benchmarks build install log
+	rm -rf .venv .venv-benchmarks .docs-packages build install log
+	rm -rf docs/_build docs/_generated docs/gallery

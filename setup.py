@@ -68,6 +68,7 @@ setup(
             "pytest-xdist>=3.6",
             "hypothesis>=6.100",
             "rosbags>=0.11",
+            "pandas>=2.2.3",  # for the examples
             "import-linter>=2.15",
             "ruff>=0.15",
             "colcon-ros>=0.5",
@@ -79,6 +80,15 @@ setup(
             "colcon-parallel-executor>=0.4",
             "setuptools>=69,<80",  # later ones lack the `develop` options that colcon uses
             "empy>=3.3,<4",  # the message generators of Jazzy are written for empy 3
+        ],
+        # what `make docs` needs besides
+        "docs": [
+            "sphinx>=8.1",
+            "numpydoc>=1.8",
+            "myst-parser>=4.0",
+            "sphinx-gallery>=0.18",
+            "sphinx-design>=0.6",
+            "pydata-sphinx-theme>=0.16",
         ],
     },
 )

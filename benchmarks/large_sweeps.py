@@ -2,8 +2,9 @@
 
     . ./activate && python benchmarks/large_sweeps.py [--rates 25]
 
-Prints what docs/large_sweeps.md shows. Processor time is that of the threads that did the jobs:
-on a busy machine it stays about the same, whereas what is done a second of wall time does not.
+Prints what docs/howto/large_sweeps.md shows. Processor time is that of the threads that did the
+jobs: on a busy machine it stays about the same, whereas what is done a second of wall time does
+not.
 """
 
 import argparse

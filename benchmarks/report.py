@@ -164,7 +164,7 @@ def _sweep(results):
         "## Sweep",
         "",
         "200 spin rates of the 3-star from -3.5 to -1.5 Omega, each corrected to a periodic motion"
-        " first (`core.sweep` with `Rate` jobs), warm:",
+        " first (`core.sweep` with `FloquetJob`), warm:",
         "",
     ]
     for workers, row in table.items():
