@@ -8,7 +8,7 @@ import numpy as np
 from tss_ros.core import Propagator, compute_floquet, disturbed, initial_state, ring
 
 
-def main():
+def main() -> None:
     """Run each kernel on the smallest system that reaches it."""
     system = ring()
     compute_floquet(system, -2.5)

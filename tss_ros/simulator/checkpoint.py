@@ -6,36 +6,44 @@ import numpy as np
 
 from tss_ros.core import Propagator
 
-#: The whole of an array.
-_WHOLE = ...
-#: Names in a snapshot: the integrator's array, and the place in it. Vectors are of the turning
-#: frame. The integrator's variations are left out: a simulation carries none.
-_PLACES = {
-    "time_s": ("time", 0),
-    "next_implicit_step_s": ("time", 1),
-    "last_step_start_s": ("time", 2),
-    "last_step_s": ("time", 3),
-    "longest_newton_step_s": ("time", 4),
-    "accepted_steps": ("count", 0),
-    "rejected_steps": ("count", 1),
-    "newton_iterations": ("count", 2),
-    "switches": ("count", 3),
-    "sampled_times": ("count", 4),
-    "next_step_kind": ("count", 5),
-    "last_step_kind": ("count", 6),
-    "doubtful_steps": ("count", 7),
-    "explicit_steps_to_make": ("count", 8),
-    "explicit_steps_next_time": ("count", 9),
-    "taut": ("taut", _WHOLE),
-    "velocity_m_s": ("v", _WHOLE),
-    "position_m": ("r", _WHOLE),
-    "implicit_start_velocity_m_s": ("v0", _WHOLE),
-    "implicit_start_position_m": ("r0", _WHOLE),
-    "stage_velocity_increments_m_s": ("z", _WHOLE),
-    "stage_position_increments_m": ("rise", _WHOLE),
-    "explicit_position_series": ("series", _WHOLE),
-    "damping_trace_integral": ("dissipation", _WHOLE),
+#: Names in a snapshot of the numbers of `core.motion.state.PROGRESS`.
+_NUMBERS = {
+    "time_s": "time",
+    "next_implicit_step_s": "implicit_size",
+    "last_step_start_s": "step_start",
+    "last_step_s": "step_size",
+    "longest_newton_step_s": "newton_limit",
+    "accepted_steps": "steps",
+    "rejected_steps": "rejected",
+    "newton_iterations": "newton_iterations",
+    "switches": "switches",
+    "sampled_times": "sampled",
+    "next_step_kind": "next_kind",
+    "last_step_kind": "last_kind",
+    "doubtful_steps": "doubts",
+    "explicit_steps_to_make": "hold",
+    "explicit_steps_next_time": "backoff",
+    "damping_trace_integral": "dissipation",
 }
+#: Names in a snapshot of the arrays of an `IntegratorState`. Vectors are of the turning frame. The
+#: variations are left out: a simulation carries none.
+_ARRAYS = {
+    "taut": "taut",
+    "velocity_m_s": "v",
+    "position_m": "r",
+    "implicit_start_velocity_m_s": "start_v",
+    "implicit_start_position_m": "start_r",
+    "stage_velocity_increments_m_s": "dv",
+    "stage_position_increments_m": "dr",
+    "explicit_position_series": "series",
+}
+
+
+def _parts(propagator):
+    """Views of all that an integrator remembers, by the names of a snapshot."""
+    state = propagator.integrator_state
+    numbers = {name: state.progress[field] for name, field in _NUMBERS.items()}
+    return numbers | {name: getattr(state, array) for name, array in _ARRAYS.items()}
 
 
 class Checkpoint(NamedTuple):
@@ -55,18 +63,12 @@ class Checkpoint(NamedTuple):
 
 def make_checkpoint(propagator: Propagator, index: int) -> Checkpoint:
     """Copy what an integrator remembers; `index` is the state that it has given last."""
-    remembered = propagator._motion
     return Checkpoint(
-        index,
-        {
-            name: np.array(getattr(remembered, array)[place])
-            for name, (array, place) in _PLACES.items()
-        },
+        index, {name: np.array(part) for name, part in _parts(propagator).items()}
     )
 
 
 def resume(propagator: Propagator, checkpoint: Checkpoint) -> None:
     """Put an integrator of the same system where a checkpoint was made."""
-    remembered = propagator._motion
-    for name, (array, place) in _PLACES.items():
-        getattr(remembered, array)[place] = checkpoint.arrays[name]
+    for name, part in _parts(propagator).items():
+        part[...] = checkpoint.arrays[name]

@@ -17,6 +17,9 @@ from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.numerics import block_lu
 
+#: Most changes of which tethers are taut in the averaged balance, and most corrections of each.
+MOST_MODE_CHANGES, MOST_CORRECTIONS = 10, 200
+
 
 @dataclass(frozen=True)
 class InitialState(State):
@@ -147,72 +150,100 @@ def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
         If none was found near the system's layout.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    rate = system.orbit_rate_rad_s
-    outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
-    # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin of
-    # sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
-    arrays = kernel_arrays(system, math.sqrt(outward))._replace(rate=0.0, bilateral=True)
-    symbolic = block_lu.analyse(system.n, system.tether_ends)
-    taut = np.ones(system.m, dtype=bool)
-    mass = system.mass_kg
-    still = np.zeros((system.n, 3))
-    acceleration = np.empty((system.n, 3))
-    by_r, by_v = np.empty((2, symbolic.blocks, 3, 3))
-
-    def imbalance(position):
-        forces.acceleration(arrays, taut, 0.0, still, position, acceleration)
-        acceleration[:, 2] -= rate**2 * position[:, 2]
-        return (mass[:, None] * acceleration).ravel()
-
-    place = np.array(system.layout_m)
-    place -= np.average(place, axis=0, weights=mass)
-    radius = np.max(np.linalg.norm(place, axis=1))
-    strain = np.sum(mass) * outward * radius / np.min(system.axial_stiffness_n)
-    place *= 1.0 + min(max(strain, 1e-9), 0.05)
-    scale = outward * radius * np.mean(mass)
-    pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
-    rounding = 8 * np.finfo(float).eps * radius * np.max(arrays.stiffness) / scale
-    for _ in range(10):
-        force = imbalance(place)
-        for _ in range(200):
-            if np.max(np.abs(force)) < 1e-12 * scale:
-                break
-            forces.jacobian(arrays, symbolic.pair, taut, 0.0, still, place, by_r, by_v)
-            by_r[: system.n, 2, 2] -= rate**2
-            # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
-            along = rigid_velocity(place[pinned : pinned + 1], 1.0)[0] / radius
-            by_r[pinned] -= np.max(np.abs(by_r[pinned])) * np.outer(along, along)
-            block_lu.factor(symbolic, by_r)
-
-            def correction(force):
-                step = -force.reshape(-1, 3) / mass[:, None]
-                block_lu.solve(symbolic, by_r, step)
-                return step
-
-            step = correction(force)
-            if not np.isfinite(step).all():
-                break
-            # Forces tell nothing of the distance to go where tethers are stiff; corrections do.
-            size = min(1.0, 0.3 * radius / max(np.max(np.abs(step)), 1e-300))
-            best = np.sum(step * step)
-            trial = imbalance(place + size * step)
-            while size > 1e-6 and not np.sum(correction(trial) ** 2) < (1.0 - size / 2) * best:
-                size *= 0.5
-                trial = imbalance(place + size * step)
-            if size <= 1e-6:
-                break
-            place, force = place + size * step, trial
-        stretched = forces.tether_state(system, place, still)[2] | system.bilateral
-        if np.array_equal(stretched, taut):
+    balance = _AveragedBalance(system, spin)
+    place = balance.start()
+    for _ in range(MOST_MODE_CHANGES):
+        place, force = balance.relaxed(place)
+        stretched = forces.tether_state(system, place, balance.still)[2] | system.bilateral
+        if np.array_equal(stretched, balance.taut):
             break
-        taut = stretched
-    left = np.max(np.abs(force)) / scale
-    if not left < 1e-9 + rounding:
+        balance.taut = stretched
+    left = np.max(np.abs(force)) / balance.scale
+    if not left < 1e-9 + balance.rounding:
         raise NoSteadyState(
             f"no steady configuration found for spin_rate_ratio"
             f" {spin_rate_ratio:g}: forces are left with a relative imbalance of {left:.1e}"
         )
     return InitialState(place, rigid_velocity(place, spin), "averaged gravity gradient")
+
+
+class _AveragedBalance:
+    """The forces of a rigid turn under averaged gravity, and Newton's method for their balance."""
+
+    def __init__(self, system, spin):
+        rate, self.mass = system.orbit_rate_rad_s, system.mass_kg
+        self.outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
+        # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin
+        # of sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
+        arrays = kernel_arrays(system, math.sqrt(self.outward))
+        self.arrays = arrays._replace(rate=0.0, bilateral=True)
+        self.system, self.inward = system, rate**2
+        self.symbolic = block_lu.analyse(system.n, system.tether_ends)
+        self.taut = np.ones(system.m, dtype=bool)
+        self.still = np.zeros((system.n, 3))
+        self.by_r, self.by_v = np.empty((2, self.symbolic.blocks, 3, 3))
+
+    def start(self):
+        """The layout, stretched by about what the spin does."""
+        place = np.array(self.system.layout_m)
+        place -= np.average(place, axis=0, weights=self.mass)
+        self.radius = np.max(np.linalg.norm(place, axis=1))
+        strain = np.sum(self.mass) * self.outward * self.radius
+        strain /= np.min(self.system.axial_stiffness_n)
+        place *= 1.0 + min(max(strain, 1e-9), 0.05)
+        self.scale = self.outward * self.radius * np.mean(self.mass)
+        stiffest = np.max(self.arrays.stiffness)
+        self.rounding = 8 * np.finfo(float).eps * self.radius * stiffest / self.scale
+        self.pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
+        return place
+
+    def force(self, place):
+        """What is left of all forces, (n, 3) [N]."""
+        acceleration = np.empty_like(place)
+        forces.acceleration(self.arrays, self.taut, 0.0, self.still, place, acceleration)
+        acceleration[:, 2] -= self.inward * place[:, 2]
+        return self.mass[:, None] * acceleration
+
+    def factor(self, place):
+        """Factor the derivatives of the accelerations there."""
+        by_r, n = self.by_r, self.system.n
+        forces.jacobian(
+            self.arrays, self.symbolic.pair, self.taut, 0.0, self.still, place, by_r, self.by_v
+        )
+        by_r[:n, 2, 2] -= self.inward
+        # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
+        pinned = slice(self.pinned, self.pinned + 1)
+        along = rigid_velocity(place[pinned], 1.0)[0] / self.radius
+        by_r[self.pinned] -= np.max(np.abs(by_r[self.pinned])) * np.outer(along, along)
+        block_lu.factor(self.symbolic, by_r)
+
+    def correction(self, force):
+        """Change of the places that would make this force vanish, by the factored derivatives."""
+        step = -force / self.mass[:, None]
+        block_lu.solve(self.symbolic, self.by_r, step)
+        return step
+
+    def relaxed(self, place):
+        """Places where forces balance, as far as Newton's method leads, and the force left."""
+        force = self.force(place)
+        for _ in range(MOST_CORRECTIONS):
+            if np.max(np.abs(force)) < 1e-12 * self.scale:
+                break
+            self.factor(place)
+            step = self.correction(force)
+            if not np.isfinite(step).all():
+                break
+            # Forces tell nothing of the distance to go where tethers are stiff; corrections do.
+            size = min(1.0, 0.3 * self.radius / max(np.max(np.abs(step)), 1e-300))
+            best = np.sum(step * step)
+            trial = self.force(place + size * step)
+            while size > 1e-6 and not np.sum(self.correction(trial) ** 2) < (1.0 - size / 2) * best:
+                size *= 0.5
+                trial = self.force(place + size * step)
+            if size <= 1e-6:
+                break
+            place, force = place + size * step, trial
+        return place, force
 
 
 def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:

@@ -110,30 +110,37 @@ def assemble(
     if not cyclic:
         inner = [add_beads(tether) for tether in tethers]
 
-    segment_names, ends, lengths, stiffness, damping = [], [], [], [], []
-    for tether, beads in zip(tethers, inner):
-        path = [place_of[tether.ends[0]], *beads, place_of[tether.ends[1]]]
-        cut = len(path) > 2
-        for j in range(len(path) - 1):
-            segment_names.append(f"{tether.name}_segment_{j + 1}" if cut else tether.name)
-            ends.append((path[j], path[j + 1]))
-        lengths.extend(tether.length_m)
-        stiffness.extend(tether.axial_stiffness_n)
-        damping.extend(tether.damping_n_s_per_m)
+    segment_names, ends = _segments(tethers, place_of, inner)
+
+    def by_segment(field):
+        return [value for tether in tethers for value in getattr(tether, field)]
+
     return System(
         tuple(names),
         is_satellite,
         masses,
         tuple(segment_names),
         np.array(ends, dtype=np.int64).reshape(-1, 2),
-        lengths,
-        stiffness,
-        damping,
+        by_segment("length_m"),
+        by_segment("axial_stiffness_n"),
+        by_segment("damping_n_s_per_m"),
         places,
         orbit_altitude_m,
         linear_gravity,
         bilateral,
     )
+
+
+def _segments(tethers, place_of, inner):
+    """Names of all segments, and the two beads that each joins, Eq. (4)."""
+    names, ends = [], []
+    for tether, beads in zip(tethers, inner):
+        path = [place_of[tether.ends[0]], *beads, place_of[tether.ends[1]]]
+        cut = len(path) > 2
+        for j in range(len(path) - 1):
+            names.append(f"{tether.name}_segment_{j + 1}" if cut else tether.name)
+            ends.append((path[j], path[j + 1]))
+    return names, ends
 
 
 #: The formations, by name: the fewest satellites each makes sense with (the hub is extra).

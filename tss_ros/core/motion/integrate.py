@@ -8,6 +8,7 @@ from numba import njit
 
 from tss_ros.core.model.forces import stretch
 from tss_ros.core.model.frames import to_orbit_frame
+from tss_ros.core.model.kernel_arrays import KernelArrays
 from tss_ros.core.motion import step, step_control, taylor_motion
 from tss_ros.core.motion.slack import toggle
 from tss_ros.core.motion.state import PROGRESS, IntegratorState
@@ -23,7 +24,9 @@ from tss_ros.core.motion.step_control import (
     IMPLICIT,
     REJECTED,
     TOO_SMALL,
+    StepSettings,
 )
+from tss_ros.core.numerics.radau_tables import Tables
 from tss_ros.core.numerics.simd import WIDTH
 
 #: Outcomes of `advance`.
@@ -32,7 +35,14 @@ REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
 ON_EDGE = 1e-12
 
 
-def begin(arrays, tables, settings, v, r, first_step):
+def begin(
+    arrays: KernelArrays,
+    tables: Tables,
+    settings: StepSettings,
+    v: np.ndarray,
+    r: np.ndarray,
+    first_step: float,
+) -> IntegratorState:
     """Start a motion at time 0, without variations.
 
     Parameters
@@ -97,8 +107,8 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     motion : IntegratorState
         Advanced in place.
     limits : tuple of float, int, int
-        Time [s] to stop at, where the last step ends exactly, or infinity to end with the step that
-        covers the samples; most steps and most slack/taut switches in this call.
+        Time [s] to end at exactly, or infinity to end with the step that covers the samples; most
+        steps and most slack/taut switches in this call.
     samples : Samples
         States wanted, written as the motion passes them.
 
@@ -111,7 +121,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     at, n, columns = motion.progress[0], motion.r.shape[0], motion.x_r.shape[2]
     explicit = step.explicit_room(arrays, settings.order, columns)
     implicit = step.implicit_room(arrays, symbolic, tables)
-    # Taken out of their tuples once: each time would count references to them.
+    # Taken out of their tuples once, since each time would count references to them.
     taut, sums, excess, growth = motion.taut, implicit.v, implicit.excess, implicit.growth
     made, most_switches, iterations = 0, at.switches + switches, at.newton_iterations
     # Not plain True, a type of its own that everything would be compiled for once more.
@@ -122,14 +132,13 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     fastest, dissipation = step_control.taut_rates(arrays, taut, sums)
     _sample(arrays, tables, motion, samples)
     while True:
-        t = at.time
+        t, kind = at.time, at.next_kind
         if t >= stop or (stop == np.inf and at.sampled >= samples.times.size):
             return REACHED
         if made >= most_steps:
             return PAUSED
         if at.switches > most_switches:
             return TOO_MANY_SWITCHES
-        kind = at.next_kind
         if kind == EXPLICIT:
             h, natural, which = step.explicit_step(arrays, settings, motion, explicit, stop)
         else:
@@ -140,9 +149,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
         if h == REJECTED:
             continue
         if h == AT_ONCE:
-            before = at.switches
-            toggle(arrays, motion, which, ON_EDGE * arrays.rest[which], excess, growth)
-            if at.switches == before:
+            if toggle(arrays, motion, which, ON_EDGE * arrays.rest[which], excess, growth) == 0:
                 return STEP_TOO_SMALL
             fastest, dissipation = step_control.taut_rates(arrays, taut, sums)
             if both:

@@ -214,6 +214,11 @@ class Propagator:
         self.period_s = 2.0 * math.pi / abs(spin)
 
     @property
+    def integrator_state(self) -> IntegratorState:
+        """All that the integrator remembers: write to it what was read, and the motion goes on."""
+        return self._motion
+
+    @property
     def time_s(self) -> float:
         """[s] end of the last integration step; samples up to here cost no further steps."""
         return self._motion.time

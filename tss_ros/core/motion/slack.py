@@ -165,11 +165,12 @@ def _zero_of_series(arrays, series, k, h):
 def toggle(arrays, motion, which, length_tolerance, excess, growth):
     """Switch tether `which`, and any other on its edge and leaving its mode, at this instant.
 
-    `excess` and `growth` (m,) are overwritten.
+    `excess` and `growth` (m,) are overwritten. Returns how many switched.
 
     Variations are multiplied by the saltation matrix, which for Eqs. (5)-(6) only adds the damping
     of the relative displacement along the tether to the velocities (S = I for C = 0).
     """
+    before = motion.progress[0].switches
     stretch(arrays, motion.v, motion.r, excess, growth)
     for k in range(arrays.rest.size):
         leaving = (growth[k] < 0.0) == motion.taut[k]
@@ -196,3 +197,4 @@ def toggle(arrays, motion, which, length_tolerance, excess, growth):
                 e = motion.r[i, p] - motion.r[j, p]
                 motion.x_v[i, p, c] -= jump * e * arrays.inv_mass[i]
                 motion.x_v[j, p, c] += jump * e * arrays.inv_mass[j]
+    return motion.progress[0].switches - before

@@ -91,7 +91,7 @@ TAUT, STIFFNESS, DAMPING, REST, PULL = 0, WIDTH, 2 * WIDTH, 3 * WIDTH, 4 * WIDTH
 ROWS = 7
 
 
-def order_for(rtol):
+def order_for(rtol: float) -> int:
     """Order of the series: four more than Jorba and Zou's, for tethers that swing undamped."""
     return math.ceil(5.0 - 0.5 * math.log(rtol))
 
