@@ -42,7 +42,7 @@ def test_late_and_slow_recorder_gets_every_step_from_then_on(start):
         spin_until(lambda: bag.stat().st_size > 500_000, *recorded)
     assert simulator.stop() == 0
     assert logger.stop() == 0
-    assert " 0 lost" in logger.stdout
+    assert " 0 lost" in logger.stdout, (logger.stdout, logger.stderr, simulator.stderr)
     messages = messages_by_topic(bag)
     for topic in ("/bead_states", "/tether_states"):
         steps = np.array([message.step for _, message in messages[topic]])

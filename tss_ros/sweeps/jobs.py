@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 
@@ -209,34 +209,40 @@ class Question:
         }
 
 
-def _columns(kind):
+def _kinds(result):
+    """Name and type of every field of a class of results, type hints resolved."""
+    hints = get_type_hints(result)
+    return {field.name: hints[field.name] for field in fields(result)}
+
+
+def _columns(result):
     """The columns that the fields of a result become; samples of a simulation are left out."""
     columns = {}
-    for field in fields(kind):
-        if field.type is State:
+    for name, kind in _kinds(result).items():
+        if kind is State:
             columns |= {"position_m": list[float], "velocity_m_s": list[float]}
-        elif field.name == "multiplier":
+        elif name == "multiplier":
             columns |= {"multiplier_real": list[float], "multiplier_imag": list[float]}
-        elif field.type is tuple:
-            columns[field.name] = list[str]
-        elif field.type is not np.ndarray:
-            columns[field.name] = field.type
+        elif get_origin(kind) is tuple:
+            columns[name] = list[str]
+        elif kind is not np.ndarray:
+            columns[name] = kind
     return columns
 
 
 def _cells(found):
     """A result as a row with the columns of `_columns`."""
     cells = {}
-    for field in fields(found):
-        value = getattr(found, field.name)
-        if field.type is State:
+    for name, kind in _kinds(type(found)).items():
+        value = getattr(found, name)
+        if kind is State:
             cells["position_m"] = value.position_m.ravel().tolist()
             cells["velocity_m_s"] = value.velocity_m_s.ravel().tolist()
-        elif field.name == "multiplier":
+        elif name == "multiplier":
             cells["multiplier_real"] = value.real.tolist()
             cells["multiplier_imag"] = value.imag.tolist()
-        elif field.type is tuple:
-            cells[field.name] = [str(item) for item in value]
-        elif field.type is not np.ndarray:
-            cells[field.name] = field.type(value)
+        elif get_origin(kind) is tuple:
+            cells[name] = [str(item) for item in value]
+        elif kind is not np.ndarray:
+            cells[name] = kind(value)
     return cells
