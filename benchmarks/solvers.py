@@ -12,7 +12,7 @@ Solver = namedtuple("Solver", "make options events loosest tightest")
 
 
 def ours(problem, tolerance, **options):
-    """This package's integrator, as `core.motion.Integrator` with these options."""
+    """This package's integrator, as `core.motion.propagator.Integrator` with these options."""
     integrator = Integrator(problem.system, problem.spin, tolerance, problem.radius, **options)
 
     def run():

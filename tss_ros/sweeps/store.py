@@ -45,7 +45,7 @@ class Store:
     Parameters
     ----------
     folder : Path
-    question : sweep_jobs.Question
+    question : jobs.Question
 
     Raises
     ------

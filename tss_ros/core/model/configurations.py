@@ -98,7 +98,7 @@ def _paper_configuration(system, spin, units):
     """Solve Eq. (51), or (54) with one bead between satellites, for the radii R_1 (and R_2)."""
     per_unit = system.n // units
     angle = math.pi / 2 + 2.0 * math.pi * np.arange(system.n) / system.n
-    outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)
+    outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)  # Eq. (50)
     arrays = kernel_arrays(system, 0.0)
     taut = np.ones(system.m, dtype=bool)
     acceleration = np.empty((system.n, 3))
@@ -111,7 +111,7 @@ def _paper_configuration(system, spin, units):
         position, velocity = state(radii)
         forces.acceleration(arrays, taut, 0.0, velocity, position, acceleration)
         radial = np.sum(acceleration * outward, axis=1)[:per_unit]
-        return radial + spin**2 * radii
+        return radial + spin**2 * radii  # Eq. (51), and (54) with a bead on each tether
 
     length = np.sum(system.rest_length_m[:per_unit])
     guess = np.full(per_unit, length / (2.0 * math.sin(math.pi / units)))

@@ -19,7 +19,7 @@ from tss_ros.core.numerics.simd import kernel
 
 @kernel
 def acceleration(arrays, taut, time, v, r, a):
-    """Accelerations of all beads, Eq. (1), in the turning frame.
+    """Accelerations of all beads, Eqs. (1) and (32), in the turning frame.
 
     Parameters
     ----------
@@ -42,6 +42,8 @@ def acceleration(arrays, taut, time, v, r, a):
     rate2 = arrays.rate * arrays.rate
     centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
     coriolis = 2.0 * (arrays.rate + arrays.spin)
+    # On every bead: gravity, Eq. (2), with the orbit's centrifugal force, Eq. (9); Coriolis force,
+    # Eq. (11), and the forces of the turning frame.
     for i in range(r.shape[0]):
         x, y, z = r[i, 0], r[i, 1], r[i, 2]
         up = x * upx + y * upy
@@ -57,6 +59,7 @@ def acceleration(arrays, taut, time, v, r, a):
         a[i, 0] = rate2 * gx + centrifugal * x + coriolis * v[i, 1]
         a[i, 1] = rate2 * gy + centrifugal * y - coriolis * v[i, 0]
         a[i, 2] = rate2 * gz
+    # In every tether that is taut, Eq. (5): elastic force, Eq. (3), and damping, Eq. (6).
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -85,7 +88,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     arrays, taut, time, v, r
         As for `acceleration`.
     pair : ndarray, shape (m, 2)
-        Where the blocks (i, j) and (j, i) of each tether are stored (`blocklu.Symbolic.pair`).
+        Where the blocks (i, j) and (j, i) of each tether are stored (`block_lu.Symbolic.pair`).
     by_r, by_v : ndarray, shape (at least n + 2m, 3, 3)
         Overwritten: da/dr [1/s^2] and da/dv [1/s]; block i < n is the diagonal one of bead i.
     """
@@ -95,6 +98,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     coriolis = 2.0 * (arrays.rate + arrays.spin)
     by_r[:] = 0.0
     by_v[:] = 0.0
+    # Derivatives of gravity with centrifugal force, Eqs. (2) and (9), and of Coriolis force, (11).
     for i in range(r.shape[0]):
         d = by_r[i]
         if arrays.linear_gravity:
@@ -122,6 +126,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
+            # Derivatives of the elastic force, Eq. (3), and of damping, Eq. (6).
             e = (r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2])
             w = (v[i, 0] - v[j, 0], v[i, 1] - v[j, 1], v[i, 2] - v[j, 2])
             length2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
@@ -194,9 +199,9 @@ def tether_state(
     w = velocity_m_s[..., first, :] - velocity_m_s[..., second, :]
     length = np.sqrt(np.sum(e * e, axis=-1))
     growth = np.sum(e * w, axis=-1) / length
-    taut = length > system.rest_length_m
+    taut = length > system.rest_length_m  # Eq. (5)
     pull = (
-        system.axial_stiffness_n * (length / system.rest_length_m - 1.0)
-        + system.damping_n_s_per_m * growth
+        system.axial_stiffness_n * (length / system.rest_length_m - 1.0)  # Eq. (3)
+        + system.damping_n_s_per_m * growth  # Eq. (6)
     )
     return length, np.where(taut | system.bilateral, pull, 0.0), taut

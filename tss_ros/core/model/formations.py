@@ -258,7 +258,7 @@ def ring(
     linear_gravity: bool = False,
     bilateral: bool = False,
 ) -> System:
-    """Build a ring of n satellites, the paper's formation; see `formation`."""
+    """Build a ring of n satellites, the paper's formation, Eq. (48); see `formation`."""
     return formation(
         "ring",
         satellites,

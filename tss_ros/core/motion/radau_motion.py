@@ -124,7 +124,7 @@ def newton_matrices(symbolic, tables, size, newton):
 
 @kernel
 def _integrate_velocities(tables, step):
-    """Increments of position at every stage, from r' = v."""
+    """Increments of position at every stage, from r' = v, Eq. (31)."""
     for j in range(tables.stages):
         for i in range(step.v.shape[0]):
             for q in range(3):

@@ -17,7 +17,7 @@ from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, smaller, splat
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def first_switch(arrays, tables, step):
-    """Earliest point of a step, as a fraction of it, where a tether leaves its mode; 2 if none.
+    """Earliest point of a step, as a fraction, where a tether leaves its mode, Eq. (5); 2 if none.
 
     Returns the fraction and the tether.
     """

@@ -1,4 +1,4 @@
-"""The variations of an explicit step, Eqs. (12) and (52), as Taylor series beside `taylor`."""
+"""The variations of an explicit step, Eqs. (12) and (52), as series beside `taylor_motion`."""
 
 from typing import NamedTuple
 

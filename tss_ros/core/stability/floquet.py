@@ -150,7 +150,7 @@ def _result(method, integrator, multiplier, family, judgement, residual=(), **kn
 def _whole(turn, initial, initial_closure, correct, certify, cancelled):
     """The result of a turn with its whole matrix."""
     integrator, closed_by = turn.integrator, turn.closure_residual
-    multiplier, vectors = np.linalg.eig(turn.matrix)
+    multiplier, vectors = np.linalg.eig(turn.matrix)  # Eqs. (25) and (27)
     family = label(integrator.system, turn.start, multiplier, vectors)
     periodic = closed_by <= CLOSED or not correct
     judgement = judge(multiplier, family, closed_by, periodic)
@@ -228,8 +228,8 @@ def _frozen(integrator, state, cancelled):
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
     matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
-    value, vectors = np.linalg.eig(matrix)
-    multiplier = np.exp(value * integrator.period_s)
+    value, vectors = np.linalg.eig(matrix)  # Eq. (37)
+    multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator.system, state, multiplier, vectors)
     return _result(
         "frozen", integrator, multiplier, family, judge_frozen(multiplier, family),

@@ -11,7 +11,9 @@ from tss_ros.core.numerics import block_lu
 def frozen_jacobian(
     system: System, state: State, speed: float = 1.0, length: float = 1.0
 ) -> np.ndarray:
-    """J_0 = dF/dx of Eq. (52) in the orbit frame at t = 0, states ordered as in Eq. (29).
+    """J_0 = dF/dx, Eq. (35), of Eq. (52) in the orbit frame at t = 0, Eq. (33).
+
+    States are ordered as in Eq. (29).
 
     Parameters
     ----------

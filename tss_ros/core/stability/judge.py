@@ -59,7 +59,7 @@ def judge(
     error: float | np.ndarray = 0.0,
     found: np.ndarray | None = None,
 ) -> Judgement:
-    """Judge the multipliers of a turn, all of them or the leading ones.
+    """Judge the multipliers of a turn by Eq. (47), all of them or the leading ones.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class FloquetResult:
         parts whose matrices are multiplied, and when it is integrated a hundred times more
         accurately. NaN if not certified.
     liouville_error : float
-        Error of Liouville's formula for log|det M|, see `certificate.liouville_error`. NaN if not
+        Error of Liouville's formula for log|det M|, see `proofs.liouville_error`. NaN if not
         certified.
     switches : int
         Slack/taut switches in the turn.

@@ -114,6 +114,8 @@ def integrate_turn(
         If `cancelled` said so.
     """
     size = 6 * integrator.system.n
+    # The fundamental solutions start from the identity, Eq. (14); at T they are the monodromy
+    # matrix, Eq. (26).
     motion, matrix = integrator.begin(state), np.eye(size)
     for segment in range(segments):
         stop = integrator.period_s * (segment + 1) / segments
