@@ -394,7 +394,9 @@ def scenarios():
 def first_sentence(path):
     """The first sentence of a module's docstring."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return re.split(r"(?<=[.;])\s", " ".join(text.split()), maxsplit=1)[0].rstrip(";")
+    # An abbreviation is no end: "Eq. (3)", "Eqs. (2)-(4)", an initial as in "Y. Saad".
+    end = r"(?<!Eq\.)(?<!Eqs\.)(?<!\b[A-Z]\.)(?<=\.)\s"
+    return re.split(end, " ".join(text.split()), maxsplit=1)[0]
 
 
 def tree():

@@ -65,6 +65,7 @@ def begin(
     progress["next_kind"] = IMPLICIT if settings.kind == IMPLICIT else EXPLICIT
     return IntegratorState(
         progress=progress,
+        # Eq. (5), and at the rest length whichever mode the motion is about to be in.
         taut=(excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | arrays.bilateral,
         v=np.array(v, dtype=float),
         r=np.array(r, dtype=float),

@@ -59,7 +59,7 @@ def compute_floquet(
         paper's analytic method; it shows no critical rate.
     state : State, optional
         Start; if not given `initial_state`, and where that leads to no motion that closes also
-        `averaged_state`, unless both go slack and it closes no better.
+        `averaged_state`, unless tethers go slack from both and that one closes no better.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -76,7 +76,7 @@ def compute_floquet(
     Returns
     -------
     FloquetResult
-        Also where no periodic motion exists: that is a verdict, not an error.
+        Also where no periodic motion was found: that is a verdict, not an error.
 
     Raises
     ------
