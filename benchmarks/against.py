@@ -24,7 +24,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 CASES = (
     *("A1", "A100", "A2000", "B1", "B100", "B2000", "6-bead"),
-    *("M2000", "M100", "M1", "S2000", "S100", "S1", "6-bead turn"),
+    *("30 beads", "100 beads", "300 beads"),
+    *("M2000", "M100", "M1", "S2000", "S100", "S1", "6-bead turn", "30 beads turn"),
 )
 TOLERANCE = 1e-10
 #: Shortest time [s] that one of a pair takes: quick cases run several times.
@@ -33,14 +34,14 @@ LEAST_S = 0.05
 
 def work():
     """Run cases as they are named on standard input; a line of JSON for each."""
-    from benchmarks import problems, solvers
+    from benchmarks import problems, solvers, worker
 
     runs = {}
     for line in sys.stdin:
         case = line.strip()
         if case not in runs:
-            table = solvers.MOTION if case in problems.MOTIONS else solvers.MONODROMY
-            run = table[solvers.OURS].make(problems.Problem(case), TOLERANCE)
+            ours = worker.solvers_of(case)[solvers.OURS]
+            run = ours.make(problems.Problem(case), TOLERANCE)
             result = run()
             begun = time.process_time()
             run()
