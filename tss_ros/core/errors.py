@@ -1,5 +1,8 @@
 """Errors of the core: one base; messages name the thing, its value and what is allowed."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class TssError(ValueError):
     """Base of every error the core raises; its text is ready to be shown to a user."""
@@ -15,3 +18,9 @@ class NoSteadyState(TssError):
 
 class Cancelled(TssError):
     """The caller asked a long computation to stop."""
+
+
+def near_match(word: str, known: Iterable[str]) -> str:
+    """"; did you mean ...?" where a known word is much like this one, else nothing."""
+    found = difflib.get_close_matches(str(word), list(known), 1)
+    return f"; did you mean {found[0]!r}?" if found else ""

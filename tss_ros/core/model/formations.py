@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import System, finite
 
 #: Most beads, satellites included, that a system may have.
@@ -56,6 +57,8 @@ def assemble(
     orbit_altitude_m: float = 1.0e6,
     linear_gravity: bool = False,
     bilateral: bool = False,
+    tether_law: str = TETHER_LAWS[0].name,
+    **law_parameters: float,
 ) -> System:
     """Build the `System` of any tether graph.
 
@@ -68,6 +71,8 @@ def assemble(
     tethers : sequence of Tether
     orbit_altitude_m : float
     linear_gravity, bilateral : bool
+    tether_law : str
+    **law_parameters : float
         See `System`.
 
     Returns
@@ -128,6 +133,8 @@ def assemble(
         orbit_altitude_m,
         linear_gravity,
         bilateral,
+        tether_law,
+        law_parameters,
     )
 
 
@@ -177,6 +184,8 @@ def formation(
     orbit_altitude_m: float = ALTITUDE_M,
     linear_gravity: bool = False,
     bilateral: bool = False,
+    tether_law: str = TETHER_LAWS[0].name,
+    **law_parameters: float,
 ) -> System:
     """Build one of the named formations; the defaults are Table 1.
 
@@ -207,6 +216,8 @@ def formation(
         [kg] one for all, one per tether (of each of its beads), or one per bead.
     orbit_altitude_m : float
     linear_gravity, bilateral : bool
+    tether_law : str
+    **law_parameters : float
         See `System`.
 
     Returns
@@ -242,7 +253,9 @@ def formation(
     total = [math.fsum(tether.length_m) for tether in tethers]
     places, names = _shape(shape, count, total)
     nodes = [Satellite(*node) for node in zip(names, mass, places)]
-    return assemble(nodes, tethers, orbit_altitude_m, linear_gravity, bilateral)
+    return assemble(
+        nodes, tethers, orbit_altitude_m, linear_gravity, bilateral, tether_law, **law_parameters
+    )
 
 
 def ring(
@@ -257,6 +270,8 @@ def ring(
     orbit_altitude_m: float = ALTITUDE_M,
     linear_gravity: bool = False,
     bilateral: bool = False,
+    tether_law: str = TETHER_LAWS[0].name,
+    **law_parameters: float,
 ) -> System:
     """Build a ring of n satellites, the paper's formation, Eq. (48); see `formation`."""
     return formation(
@@ -271,6 +286,8 @@ def ring(
         orbit_altitude_m=orbit_altitude_m,
         linear_gravity=linear_gravity,
         bilateral=bilateral,
+        tether_law=tether_law,
+        **law_parameters,
     )
 
 

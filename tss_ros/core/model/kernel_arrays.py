@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tss_ros.core.model.laws import LAW_PARAMETERS
+from tss_ros.core.model.made import TENSION_INDEX
 from tss_ros.core.model.system import System
 
 
@@ -18,14 +20,20 @@ class KernelArrays(NamedTuple):
         1/m_i [1/kg].
     rest, stiffness, damping : ndarray, shape (m,)
         L [m], EA/L [N/m] and C [N s/m] of each segment, Eqs. (3) and (6).
-    rate : float
-        Omega [rad/s] of the orbit.
+    rate, mean_motion : float
+        Omega and n [rad/s] of the orbit.
     radius : float
         R [m] of the orbit.
     spin : float
         omega [rad/s] of the turning frame against the orbit frame; 0 is the orbit frame itself.
-    linear_gravity, bilateral : bool
-        See `System`.
+    bilateral, pushes : bool
+        Whether segments are always taut, and whether taut ones may push.
+    tension : int
+        Index into `made.TENSIONS` of what taut segments do.
+    acting : tuple of bool
+        Which of `laws.BEAD_LAWS` act.
+    constants : tuple of float
+        Values of `laws.LAW_PARAMETERS`.
     """
 
     ends: np.ndarray
@@ -34,10 +42,14 @@ class KernelArrays(NamedTuple):
     stiffness: np.ndarray
     damping: np.ndarray
     rate: float
+    mean_motion: float
     radius: float
     spin: float
-    linear_gravity: bool
     bilateral: bool
+    pushes: bool
+    tension: int
+    acting: tuple[bool, ...]
+    constants: tuple[float, ...]
 
 
 def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
@@ -60,8 +72,12 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         stiffness=system.axial_stiffness_n / system.rest_length_m,
         damping=np.array(system.damping_n_s_per_m),
         rate=float(system.orbit_rate_rad_s),
+        mean_motion=float(system.mean_motion_rad_s),
         radius=float(system.orbit_radius_m),
         spin=float(spin_rate_rad_s),
-        linear_gravity=bool(system.linear_gravity),
         bilateral=bool(system.bilateral),
+        pushes=bool(system.law.pushes),
+        tension=TENSION_INDEX[system.tether_law],
+        acting=system.acting,
+        constants=tuple(system.law_parameters[p.name] for p in LAW_PARAMETERS),
     )

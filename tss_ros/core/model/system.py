@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from tss_ros.core.errors import TssError
+from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.laws.contract import BeadLaw, TetherLaw
 
 #: Gravitational parameter of the Earth [m^3/s^2], as in the paper.
 MU_EARTH = 3.986e14
@@ -60,6 +63,10 @@ class System:
         Use the gravity gradient linearised at the centre instead of Eq. (2).
     bilateral : bool
         Let segments push as well as pull: s = 1 always in Eq. (5). For closed-form checks.
+    tether_law : str
+        Name of one of `laws.TETHER_LAWS`: how taut segments pull.
+    law_parameters : dict of str to float
+        Values of `laws.LAW_PARAMETERS` by name; those left out have their defaults.
 
     Raises
     ------
@@ -79,6 +86,8 @@ class System:
     orbit_altitude_m: float = 1.0e6
     linear_gravity: bool = False
     bilateral: bool = False
+    tether_law: str = TETHER_LAWS[0].name
+    law_parameters: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
         n, m = len(self.bead_name), len(self.tether_name)
@@ -114,6 +123,59 @@ class System:
         object.__setattr__(self, "layout_m", layout)
         altitude = finite("orbit_altitude_m", self.orbit_altitude_m, at_least=0.0)
         object.__setattr__(self, "orbit_altitude_m", altitude)
+        self._check_laws()
+
+    def _check_laws(self):
+        names = [law.name for law in TETHER_LAWS]
+        if self.tether_law not in names:
+            raise TssError(
+                f"tether_law must be one of {', '.join(names)}, got {self.tether_law!r}"
+                f"{near_match(self.tether_law, names)}"
+            )
+        if self.bilateral and not self.law.pushes:
+            raise TssError(f"bilateral tethers push, but tether_law {self.tether_law} does not")
+        values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
+        for name, value in self.law_parameters.items():
+            if name not in values:
+                raise TssError(
+                    f"{name!r} is no parameter; those of laws are {', '.join(values)}"
+                    f"{near_match(name, values)}"
+                )
+            values[name] = value
+        foreign = {p: law for law in TETHER_LAWS for p in law.parameters if law is not self.law}
+        for parameter in LAW_PARAMETERS:
+            number = finite(parameter.name, values[parameter.name], at_least=parameter.minimum)
+            if number > parameter.maximum:
+                raise TssError(
+                    f"{parameter.name} must be at most {parameter.maximum:g}, got {number:g}"
+                )
+            if parameter in foreign and number != parameter.default:
+                raise TssError(
+                    f"{parameter.name} is {number:g}, which only tether_law"
+                    f" {foreign[parameter].name} uses; it is {self.tether_law}"
+                )
+            values[parameter.name] = number
+        object.__setattr__(self, "law_parameters", values)
+
+    @property
+    def law(self) -> TetherLaw:
+        """How taut segments pull."""
+        return next(law for law in TETHER_LAWS if law.name == self.tether_law)
+
+    @property
+    def acting(self) -> tuple[bool, ...]:
+        """Which of `laws.BEAD_LAWS` act on the beads."""
+        chosen = {"gravity": not self.linear_gravity, "linear_gravity": self.linear_gravity}
+        return tuple(
+            chosen[law.name] if law.name in chosen
+            else self.law_parameters[law.parameters[0].name] != 0.0
+            for law in BEAD_LAWS
+        )  # fmt: skip
+
+    @property
+    def acting_laws(self) -> tuple[BeadLaw, ...]:
+        """The laws that act on the beads."""
+        return tuple(law for law, acts in zip(BEAD_LAWS, self.acting) if acts)
 
     def _store(self, name, values, size, dtype=float, **bounds):
         array = np.array(values, dtype=dtype)
@@ -156,9 +218,19 @@ class System:
         return RADIUS_EARTH_M + self.orbit_altitude_m
 
     @property
-    def orbit_rate_rad_s(self) -> float:
-        """Omega = sqrt(mu / R^3) [rad/s]."""
+    def mean_motion_rad_s(self) -> float:
+        """n = sqrt(mu / R^3) [rad/s]."""
         return math.sqrt(MU_EARTH / self.orbit_radius_m**3)
+
+    @property
+    def orbit_rate_rad_s(self) -> float:
+        """Omega [rad/s]: n, or what the laws that act make of it (`BeadLaw.orbit`)."""
+        more = 0.0
+        for law in self.acting_laws:
+            if law.orbit is not None:
+                values = {p.name: self.law_parameters[p.name] for p in law.parameters}
+                more += law.orbit(self.orbit_radius_m, **values)
+        return self.mean_motion_rad_s * math.sqrt(1.0 + more)
 
     def spin_rate_rad_s(self, spin_rate_ratio: float) -> float:
         """Spin rate omega [rad/s] in the orbit frame for w = omega / Omega; refuses 0 and NaN."""

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from tss_ros.core.model.forces import stretch
+from tss_ros.core.model.made import SQUARE, TETHER_SLOTS
 from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
 from tss_ros.core.numerics.loops import add
 from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, smaller, splat, store
@@ -54,23 +55,25 @@ def first_switch_of_series(arrays, taut, series, h):
 
     Returns the time, exact to rounding, or infinity if there is none; and the tether.
     """
-    size, margin, earliest, which = series.q.shape[1], series.margin, np.inf, -1
-    for block in range(series.q.shape[0]):
+    size, margin, earliest, which = series.r.shape[1], series.margin, np.inf, -1
+    for block in range(series.e.shape[0]):
+        first = WIDTH * (TETHER_SLOTS * block + SQUARE) * size
         change, power = splat(0.0), h
         for i in range(1, size):
-            change += power * fabs(load(series.q, WIDTH * (block * size + i)))
+            change += power * fabs(load(series.tethers, first + WIDTH * i))
             power *= h
         store(margin, 0, change)
         open_lanes = 0
         for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
             k = WIDTH * block + lane
-            sign, length = 1.0 if taut[k] else -1.0, math.sqrt(series.q[block, 0, lane])
+            sign, length = 1.0 if taut[k] else -1.0, math.sqrt(series.tethers[block, SQUARE, 0, lane])
             start = sign * (length - arrays.rest[k]) * (length + arrays.rest[k])
             if start > margin[0, lane]:
                 margin[0, lane] = 0.0
                 continue
             # Where the first three terms say that the switch comes early, search there first.
-            slope, bend, guess = sign * series.q[block, 1, lane], sign * series.q[block, 2, lane], h
+            slope = sign * series.tethers[block, SQUARE, 1, lane]
+            bend, guess = sign * series.tethers[block, SQUARE, 2, lane], h
             if bend < 0.0 < slope:
                 root = math.sqrt(max(0.0, slope * slope - 4.0 * bend * start))
                 guess = min(h, 0.5 * (slope + root) / -bend)
@@ -78,7 +81,7 @@ def first_switch_of_series(arrays, taut, series, h):
             margin[2, lane], margin[3, lane] = min(h, 1.3 * guess), guess
             open_lanes += 1
         while open_lanes > 0:
-            lowest = _to_bernstein(series, block)
+            lowest = _to_bernstein(series, first)
             store(margin, 4 * WIDTH, lowest)
             for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
                 sign, part = margin[0, lane], margin[2, lane]
@@ -97,16 +100,16 @@ def first_switch_of_series(arrays, taut, series, h):
 
 
 @kernel
-def _to_bernstein(series, block):
+def _to_bernstein(series, first):
     """Write the Bernstein coefficients of a block's margins, and return the lowest ones."""
-    size, margin, bernstein = series.q.shape[1], series.margin, series.bernstein
+    size, margin, bernstein = series.r.shape[1], series.margin, series.bernstein
     power, part, share = load(margin, 0), load(margin, 2 * WIDTH), 1.0
     lowest = load(margin, WIDTH)
     store(bernstein, 0, lowest)
     for i in range(1, size):
         power *= part
         share *= i / (size - i)
-        store(bernstein, WIDTH * i, share * power * load(series.q, WIDTH * (block * size + i)))
+        store(bernstein, WIDTH * i, share * power * load(series.tethers, first + WIDTH * i))
     for level in range(1, size):
         before = load(bernstein, WIDTH * (level - 1))
         for i in range(level, size):
@@ -121,7 +124,7 @@ def _to_bernstein(series, block):
 def _zero_of_series(arrays, series, k, h):
     """The first zero [s] of a tether's margin as `_to_bernstein` left it, infinity if none."""
     lane, margin = k % WIDTH, series.margin
-    size, low, high, changes, positive = series.q.shape[1], 0.0, margin[2, lane], 0, True
+    size, low, high, changes, positive = series.r.shape[1], 0.0, margin[2, lane], 0, True
     for i in range(1, size):
         if (series.bernstein[i, lane] >= 0.0) != positive:
             positive = not positive

@@ -9,18 +9,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from tss_ros.core.model.laws.inertia import inertia
+from tss_ros.core.model.made import BEAD_SLOTS, SQUARE, TETHER_SLOTS, bead_series, tether_series
 from tss_ros.core.numerics.bernstein import DEEPEST
 from tss_ros.core.numerics.simd import (
     WIDTH,
+    allocating,
+    inlined,
     kernel,
     lane,
     load,
     load3,
     only_where,
     splat,
-    sqrt,
     store,
     store3,
 )
@@ -54,14 +56,14 @@ class Series(NamedTuple):
     ----------
     r : ndarray, shape (n/W, N+1, 3, W)
         Positions.
-    e, q : ndarray, shape (m/W, N+1, 3, W) and (m/W, N+1, W)
-        Vectors along tethers and their squared lengths.
-    d, g, p : ndarray, shape (m/W, N+1, W)
-        Where taut: the rate of log q, q to the power -1/2, and tension over length, Eqs. (3), (6).
-    u, f : ndarray, shape (n/W, N+1, W)
-        Gravity's distance variable and factor as in `forces.acceleration`, Eq. (2).
+    e : ndarray, shape (m/W, N+1, 3, W)
+        Vectors along tethers.
+    tethers : ndarray, shape (m/W, TETHER_SLOTS, N+1, W)
+        What tether laws need of them: first SQUARE, PULL and BY_LOGARITHM of `model.made`.
+    beads : ndarray, shape (n/W, BEAD_SLOTS, N+1, W)
+        What the laws of beads need.
     tether : ndarray, shape (m/W, 7, W)
-        1 where taut, stiffness, half the damping, rest length, and room for three components.
+        1 where taut, stiffness, damping, rest length, and room for three components.
     margin, bernstein, pieces : ndarray, shape (5, W), (N+1, W) and (DEEPEST + 2, N+3)
         Room for `slack`.
     ends : Links
@@ -72,12 +74,8 @@ class Series(NamedTuple):
 
     r: np.ndarray
     e: np.ndarray
-    q: np.ndarray
-    d: np.ndarray
-    g: np.ndarray
-    p: np.ndarray
-    u: np.ndarray
-    f: np.ndarray
+    tethers: np.ndarray
+    beads: np.ndarray
     tether: np.ndarray
     margin: np.ndarray
     bernstein: np.ndarray
@@ -86,9 +84,8 @@ class Series(NamedTuple):
     pulls: Links
 
 
-#: Rows of `Series.tether`, times WIDTH.
-TAUT, STIFFNESS, DAMPING, REST, PULL = 0, WIDTH, 2 * WIDTH, 3 * WIDTH, 4 * WIDTH
-ROWS = 7
+#: Rows of `Series.tether`: the first, the first of the pull's three, and how many there are.
+TAUT, PULL, ROWS = 0, 4 * WIDTH, 7
 
 
 def order_for(rtol: float) -> int:
@@ -96,7 +93,7 @@ def order_for(rtol: float) -> int:
     return math.ceil(5.0 - 0.5 * math.log(rtol))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def blank(arrays, order):
     """Room for a `Series`, with idle lanes at rest."""
     beads, tethers, size = arrays.inv_mass.size, arrays.rest.size, order + 1
@@ -116,15 +113,15 @@ def blank(arrays, order):
             _link(ends, a, i, sign)
             _link(pulls, i, a, -sign * arrays.inv_mass[i])
     return Series(
-        np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)), np.ones((m, size, WIDTH)),
-        np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)), np.zeros((m, size, WIDTH)),
-        np.zeros((n, size, WIDTH)), np.zeros((n, size, WIDTH)), np.zeros((m, ROWS, WIDTH)),
+        np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)),
+        np.ones((m, TETHER_SLOTS, size, WIDTH)), np.zeros((n, BEAD_SLOTS, size, WIDTH)),
+        np.zeros((m, ROWS, WIDTH)),
         np.zeros((5, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
         ends, pulls,
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _no_links(blocks, tethers):
     start, stop = np.zeros(blocks, dtype=np.int64), np.zeros(blocks + 1, dtype=np.int64)
     return Links(start, stop, np.zeros(2 * tethers, np.int64), np.zeros((2 * tethers, WIDTH)))
@@ -159,20 +156,20 @@ def expand(arrays, taut, v, r, series):
             x = r[i, c] - r[j, c]
             series.e[block, 0, c, at] = x
             square += x * x
-        series.q[block, 0, at] = square
+        series.tethers[block, SQUARE, 0, at] = square
         series.tether[block, 0, at] = 1.0 if taut[a] else 0.0
         series.tether[block, 1, at] = arrays.stiffness[a]
-        series.tether[block, 2, at] = 0.5 * arrays.damping[a]
+        series.tether[block, 2, at] = arrays.damping[a]
         series.tether[block, 3, at] = arrays.rest[a]
         any_taut |= taut[a]
     for k in range(order - 1):
         weight = 1.0 / ((k + 1) * (k + 2))
         for block in range(series.r.shape[0]):
-            _gravity(arrays, series, block, k, weight)
+            _beads(arrays, series, block, k, weight)
         for block in range(series.e.shape[0]):
             _difference(series, block, k + 1)
             if any_taut:
-                _tension(series, block, k)
+                _tethers(arrays, series, block, k)
             else:
                 _square(series, block, k + 1)
         if any_taut:
@@ -183,54 +180,20 @@ def expand(arrays, taut, v, r, series):
         _square(series, block, order)
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _gravity(arrays, series, block, k, weight):
-    """Write what gravity, centrifugal and Coriolis acceleration do to coefficient k + 2 of r."""
-    r, u, f = series.r, series.u, series.f
-    rate2, coriolis = weight * arrays.rate * arrays.rate, weight * 2.0 * arrays.rate * (k + 1)
-    curvature = 1.0 / arrays.radius
-    one = block * u.shape[1] * WIDTH  # where the block begins in u and f, and so
-    three = 3 * one  # in r
-    now = three + 3 * WIDTH * k
-    x0, y0, z0 = load3(r, three)
-    xk, yk, zk = load3(r, now)
-    gx = gy = gz = splat(0.0)
-    if arrays.linear_gravity:
-        gy = 3.0 * yk
-    elif k == 0:
-        u0 = (2.0 * y0 + (x0 * x0 + y0 * y0 + z0 * z0) * curvature) * curvature
-        p = (1.0 + u0) * sqrt(1.0 + u0)
-        f0 = u0 * (3.0 + u0 * (3.0 + u0)) / (p * (1.0 + p))
-        store(u, one, u0)
-        store(f, one, f0)
-        gx, gy, gz = f0 * x0, f0 * (y0 + arrays.radius), f0 * z0
-    else:
-        square = 2.0 * (x0 * xk + y0 * yk + z0 * zk)
-        total, share, inverse = splat(0.0), float(k), 1.0 / (1.0 + load(u, one))
-        for b in range(1, k):
-            here, there = one + WIDTH * b, one + WIDTH * (k - b)
-            xb, yb, zb = load3(r, three + 3 * WIDTH * b)
-            xc, yc, zc = load3(r, three + 3 * WIDTH * (k - b))
-            fb = load(f, here)
-            square += xb * xc + yb * yc + zb * zc
-            gx += fb * xc
-            gy += fb * yc
-            gz += fb * zc
-            share += 0.5
-            total += share * load(u, here) * load(f, there)
-        f0, uk = load(f, one), (2.0 * yk + square * curvature) * curvature
-        fk = (1.5 * uk * (1.0 - f0) - total * (1.0 / k)) * inverse
-        store(u, one + WIDTH * k, uk)
-        store(f, one + WIDTH * k, fk)
-        gx += f0 * xk + fk * x0
-        gy += f0 * yk + fk * (y0 + arrays.radius)
-        gz += f0 * zk + fk * z0
-    vx, vy, _ = load3(r, now + 3 * WIDTH)
-    ax, ay, az = rate2 * gx + coriolis * vy, rate2 * gy - coriolis * vx, rate2 * (gz - zk)
-    store3(r, now + 6 * WIDTH, ax, ay, az)
+@inlined
+def _beads(arrays, series, block, k, weight):
+    """Write what the laws of beads and inertia do to coefficient k + 2 of r."""
+    size = series.r.shape[1]
+    now, at = 3 * WIDTH * (block * size + k), WIDTH * BEAD_SLOTS * size * block
+    gx, gy, gz = bead_series(
+        arrays, series.r, 3 * WIDTH * size * block, series.beads, at, size, k
+    )
+    vx, vy, _ = load3(series.r, now + 3 * WIDTH)
+    fx, fy = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
+    store3(series.r, now + 6 * WIDTH, weight * (gx + fx), weight * (gy + fy), weight * gz)
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
+@inlined
 def _difference(series, block, k):
     """Coefficient k of the vectors along tethers."""
     r, ends = series.r, series.ends
@@ -243,7 +206,7 @@ def _difference(series, block, k):
     store3(series.e, 3 * WIDTH * (block * series.e.shape[1] + k), x, y, z)
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
+@inlined
 def _pull(series, block, k, share):
     """Add what tethers do to coefficient k of the positions."""
     tether, pulls = series.tether, series.pulls
@@ -257,54 +220,30 @@ def _pull(series, block, k, share):
     store3(series.r, now, x, y, z)
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
+@inlined
 def _square(series, block, k):
     """Coefficient k of the squared lengths."""
-    one = block * series.q.shape[1] * WIDTH
-    square = splat(0.0)
+    size = series.r.shape[1]
+    one, square = block * size * WIDTH, splat(0.0)
     for b in range(k + 1):
         xb, yb, zb = load3(series.e, 3 * (one + WIDTH * b))
         xc, yc, zc = load3(series.e, 3 * (one + WIDTH * (k - b)))
         square += xb * xc + yb * yc + zb * zc
-    store(series.q, one + WIDTH * k, square)
+    store(series.tethers, WIDTH * ((TETHER_SLOTS * block + SQUARE) * size + k), square)
 
 
-@njit(inline="always", error_model="numpy", fastmath={"contract"})
-def _tension(series, block, k):
+@inlined
+def _tethers(arrays, series, block, k):
     """Coefficient k of the tethers' pull, and coefficient k + 1 of their squared lengths."""
-    e, q, d, g, p, tether = series.e, series.q, series.d, series.g, series.p, series.tether
-    one, row = block * q.shape[1] * WIDTH, block * ROWS * WIDTH
-    x0, y0, z0 = load3(e, 3 * one)
-    xn, yn, zn = load3(e, 3 * (one + WIDTH * (k + 1)))
-    square = 2.0 * (x0 * xn + y0 * yn + z0 * zn)
-    rate = inverse = fx = fy = fz = splat(0.0)
-    shorter = 1.0 / load(q, one)
-    for b in range(1, k + 1):
-        here, there = one + WIDTH * b, one + WIDTH * (k - b)
-        xb, yb, zb = load3(e, 3 * here)
-        xc, yc, zc = load3(e, 3 * (there + WIDTH))
-        before = load(p, here - WIDTH)
-        square += xb * xc + yb * yc + zb * zc
-        fx += before * xc
-        fy += before * yc
-        fz += before * zc
-        rate += load(q, here) * load(d, there)
-        inverse += load(d, here - WIDTH) * load(g, there)
-    store(q, one + WIDTH * (k + 1), square)
-    dk = ((k + 1.0) * square - rate) * shorter
-    store(d, one + WIDTH * k, dk)
-    stiffness, rest = load(tether, row + STIFFNESS), load(tether, row + REST)
-    if k == 0:
-        length = sqrt(load(q, one))
-        store(g, one, 1.0 / length)
-        pk = stiffness * (length - rest) / length
-    else:
-        gk = (-0.5 / k) * inverse
-        store(g, one + WIDTH * k, gk)
-        pk = 0.0 - stiffness * rest * gk
-    pk = only_where(load(tether, row + TAUT), pk + load(tether, row + DAMPING) * dk)
-    store(p, one + WIDTH * k, pk)
-    store3(tether, row + PULL, fx + pk * x0, fy + pk * y0, fz + pk * z0)
+    size, row = series.r.shape[1], block * ROWS * WIDTH
+    x, y, z = tether_series(
+        arrays, series.e, 3 * WIDTH * size * block, series.tether, row,
+        series.tethers, WIDTH * TETHER_SLOTS * size * block, size, k,
+    )  # fmt: skip
+    taut = load(series.tether, row + TAUT)
+    store3(
+        series.tether, row + PULL, only_where(taut, x), only_where(taut, y), only_where(taut, z)
+    )
 
 
 @kernel

@@ -3,10 +3,35 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from tss_ros.core.model.laws.inertia import inertia
+from tss_ros.core.model.made import (
+    BEAD_SLOTS,
+    BY_LOGARITHM,
+    GRADIENT_SLOTS,
+    PULL,
+    SQUARE,
+    bead_gradient_series,
+)
 from tss_ros.core.motion.taylor_motion import longest
-from tss_ros.core.numerics.simd import WIDTH, kernel, lane, load, load3, splat, store, store3
+from tss_ros.core.numerics.simd import (
+    WIDTH,
+    allocating,
+    fabs,
+    inlined,
+    kernel,
+    lane,
+    larger,
+    load,
+    load3,
+    splat,
+    store,
+    store3,
+)
+
+
+#: What a coefficient of a Jacobian may do within a step, relatively, and still be left out.
+NEGLIGIBLE = 1e-17
 
 
 class Varied(NamedTuple):
@@ -16,17 +41,20 @@ class Varied(NamedTuple):
     ----------
     x : ndarray, shape (k/W, N+1, n, 3, W)
         Variations of position.
-    gradient, terms : ndarray, shape (n, N+1, 3, 3) and (n,)
-        The gravity gradient at each bead, and how many of its coefficients matter.
+    by_r, by_v : ndarray, shape (n/W, N+1, 3, 3, W)
+        Derivatives of the beads' laws by position and velocity.
+    terms : ndarray, shape (2, n/W)
+        How many of their coefficients matter.
     e : ndarray, shape (m, N+1, 3, W)
         For one block at a time, difference of the variations along every tether.
     eta, pull : ndarray, shape (m, N+1, W)
         Likewise, variation of the logarithm of the squared length and of tension over length.
-    room : ndarray, shape (4, N+1)
+    room : ndarray, shape (GRADIENT_SLOTS, N+1, W)
     """
 
     x: np.ndarray
-    gradient: np.ndarray
+    by_r: np.ndarray
+    by_v: np.ndarray
     terms: np.ndarray
     e: np.ndarray
     eta: np.ndarray
@@ -34,18 +62,19 @@ class Varied(NamedTuple):
     room: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def blank(beads, tethers, order, columns):
     """Room for a `Varied`; next to none where there are no columns."""
-    size = order + 1 if columns > 0 else 0
+    size, blocks = order + 1 if columns > 0 else 0, -(-beads // WIDTH)
     return Varied(
         np.zeros((-(-columns // WIDTH), size, beads, 3, WIDTH)),
-        np.empty((beads, size, 3, 3)),
-        np.empty(beads, dtype=np.int64),
+        np.empty((blocks, size, 3, 3, WIDTH)),
+        np.empty((blocks, size, 3, 3, WIDTH)),
+        np.empty((2, blocks), dtype=np.int64),
         np.empty((tethers, size, 3, WIDTH)),
         np.empty((tethers, size, WIDTH)),
         np.empty((tethers, size, WIDTH)),
-        np.empty((4, size)),
+        np.empty((GRADIENT_SLOTS, size, WIDTH)),
     )
 
 
@@ -64,10 +93,10 @@ def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
         In the orbit frame.
     varied : Varied
     """
-    x, gradient, terms, room = varied.x, varied.gradient, varied.terms, varied.room
-    size, beads = x.shape[1], x.shape[2]
+    x, (size, beads) = varied.x, varied.x.shape[1:3]
+    for block in range(varied.terms.shape[1]):
+        _bead_gradients(arrays, series, block, step, varied)
     for i in range(beads):
-        terms[i] = _gravity_gradient(arrays, series, i, step, gradient[i], room)
         for c in range(3):
             for b in range(x_r.shape[2]):
                 x[b // WIDTH, 0, i, c, b % WIDTH] = x_r[i, c, b]
@@ -79,28 +108,34 @@ def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
                 _begin_tether(arrays, series, varied, first, a)
         for k in range(size - 2):
             for i in range(beads):
-                _gravity(arrays, varied, first, i, k)
+                _bead(arrays, varied, first, i, k)
             for a in range(arrays.rest.size):
                 if taut[a]:
-                    _tension(arrays, series, varied, first, a, k)
+                    _tether(arrays, series, varied, first, a, k)
 
 
 @kernel
-def _gravity(arrays, varied, first, bead, k):
-    """Write what gravity and Coriolis acceleration do to coefficient k + 2 of one bead."""
-    x, gradient = varied.x, varied.gradient
+def _bead(arrays, varied, first, bead, k):
+    """Write what the laws of beads and inertia do to coefficient k + 2 of one bead."""
+    x, block, at = varied.x, bead // WIDTH, bead % WIDTH
     row = 3 * WIDTH * x.shape[2]  # from one coefficient to the next
     now = first + row * k + 3 * WIDTH * bead
-    coriolis, weight = 2.0 * arrays.rate * (k + 1), 1.0 / ((k + 1) * (k + 2))
+    weight = 1.0 / ((k + 1) * (k + 2))
     vx, vy, _ = load3(x, now + row)
-    ax, ay, az = coriolis * vy, -coriolis * vx, splat(0.0)
-    for term in range(min(k + 1, varied.terms[bead])):
+    ax, ay = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
+    az = splat(0.0)
+    for term in range(min(k + 1, varied.terms[0, block])):
         px, py, pz = load3(x, now - row * term)
-        d = gradient[bead, term]
-        xx, xy, xz, yy, yz, zz = d[0, 0], d[0, 1], d[0, 2], d[1, 1], d[1, 2], d[2, 2]
-        ax += xx * px + xy * py + xz * pz
-        ay += xy * px + yy * py + yz * pz
-        az += xz * px + yz * py + zz * pz
+        d = varied.by_r[block, term]
+        ax += d[0, 0, at] * px + d[0, 1, at] * py + d[0, 2, at] * pz
+        ay += d[1, 0, at] * px + d[1, 1, at] * py + d[1, 2, at] * pz
+        az += d[2, 0, at] * px + d[2, 1, at] * py + d[2, 2, at] * pz
+    for term in range(min(k + 1, varied.terms[1, block])):
+        px, py, pz = load3(x, now + row - row * term)
+        d, share = varied.by_v[block, term], k + 1.0 - term
+        ax += share * (d[0, 0, at] * px + d[0, 1, at] * py + d[0, 2, at] * pz)
+        ay += share * (d[1, 0, at] * px + d[1, 1, at] * py + d[1, 2, at] * pz)
+        az += share * (d[2, 0, at] * px + d[2, 1, at] * py + d[2, 2, at] * pz)
     store3(x, now + 2 * row, weight * ax, weight * ay, weight * az)
 
 
@@ -118,11 +153,11 @@ def _begin_tether(arrays, series, varied, first, a):
         + series.e[block, 0, 1, at] * ey
         + series.e[block, 0, 2, at] * ez
     )
-    store(varied.eta, WIDTH * size * a, (2.0 / series.q[block, 0, at]) * along)
+    store(varied.eta, WIDTH * size * a, (2.0 / series.tethers[block, SQUARE, 0, at]) * along)
 
 
 @kernel
-def _tension(arrays, series, varied, first, a, k):
+def _tether(arrays, series, varied, first, a, k):
     """Add what one tether does to coefficient k + 2 of the beads at its ends."""
     x, e, eta, pull = varied.x, varied.e, varied.eta, varied.pull
     i, j = arrays.ends[a, 0], arrays.ends[a, 1]
@@ -135,12 +170,14 @@ def _tension(arrays, series, varied, first, a, k):
     store3(e, 3 * (now + WIDTH), ex, ey, ez)
     s0x, s0y, s0z = series.e[block, 0, 0, at], series.e[block, 0, 1, at], series.e[block, 0, 2, at]
     along = s0x * ex + s0y * ey + s0z * ez
+    square, pulls = series.tethers[block, SQUARE], series.tethers[block, PULL]
+    by_logarithm = series.tethers[block, BY_LOGARITHM]
     ratio = elastic = fx = fy = fz = splat(0.0)
     sx = sy = sz = 0.0  # the pull that goes with s0 is not known yet
     for term in range(k + 1):
         before = now - WIDTH * term
         ex, ey, ez = load3(e, 3 * before)
-        share, p = load(eta, before), series.p[block, term, at]
+        share, p = load(eta, before), pulls[term, at]
         if term > 0:
             strength = load(pull, before)
             fx += sx * strength
@@ -153,12 +190,11 @@ def _tension(arrays, series, varied, first, a, k):
         sy = series.e[block, term + 1, 1, at]
         sz = series.e[block, term + 1, 2, at]
         along += sx * ex + sy * ey + sz * ez
-        ratio += series.q[block, term + 1, at] * share
-        elastic += series.g[block, term, at] * share
-    share = (1.0 / series.q[block, 0, at]) * (2.0 * along - ratio)
+        ratio += square[term + 1, at] * share
+        elastic += by_logarithm[term, at] * share
+    share = (1.0 / square[0, at]) * (2.0 * along - ratio)
     store(eta, now + WIDTH, share)
-    strength = (0.5 * arrays.damping[a] * (k + 1)) * share
-    strength += (0.5 * arrays.stiffness[a] * arrays.rest[a]) * elastic
+    strength = (0.5 * arrays.damping[a] * (k + 1)) * share + elastic
     store(pull, now, strength)
     fx, fy, fz = fx + s0x * strength, fy + s0y * strength, fz + s0z * strength
     weight = 1.0 / ((k + 1) * (k + 2))
@@ -170,51 +206,37 @@ def _tension(arrays, series, varied, first, a, k):
 
 
 @kernel
-def _gravity_gradient(arrays, series, bead, step, out, room):
-    """Coefficients of the gravity gradient at one bead, (terms, 3, 3), and how many there are."""
-    block, lane = bead // WIDTH, bead % WIDTH
-    r, u, f = series.r[block, :, :, lane], series.u[block, :, lane], series.f[block, :, lane]
-    rate2 = arrays.rate * arrays.rate
-    out[0] = 0.0
-    if arrays.linear_gravity:
-        out[0, 1, 1], out[0, 2, 2] = 3.0 * rate2, -rate2
-        return 1
-    order = r.shape[0] - 1
-    along, w = room[:3], room[3]
-    reach, small = 1.0, 0
-    for k in range(order - 1):
-        if k == 0:
-            w[0] = 3.0 * rate2 * (1.0 - f[0]) / (1.0 + u[0])
-        else:
-            total = 0.0
-            for b in range(1, k + 1):
-                total -= (k + 1.5 * b) * u[b] * w[k - b]
-            w[k] = total / (k * (1.0 + u[0]))
-        size = 0.0
-        for p in range(3):
-            along[p, k] = w[k] if p == 1 else 0.0
-            for b in range(k + 1):
-                along[p, k] += w[b] * r[k - b, p] / arrays.radius
-        for p in range(3):
-            for c in range(p, 3):
-                total = along[p, k] if c == 1 else 0.0
-                for b in range(k + 1):
-                    total += along[p, b] * r[k - b, c] / arrays.radius
-                if p == c:
-                    total += rate2 * f[k]
-                    if p == 2 and k == 0:
-                        total -= rate2
-                out[k, p, c] = total
-                out[k, c, p] = total
-                size = max(size, abs(total))
-        if size * reach * step * step < 1e-17:
-            small += 1
-            if small == 2:
-                return k - 1
-        else:
-            small = 0
+def _bead_gradients(arrays, series, block, step, varied):
+    """Coefficients of the derivatives of a block's laws, and how many there are of each."""
+    by_r, by_v, size = varied.by_r, varied.by_v, series.r.shape[1]
+    three, from_ = 3 * WIDTH * size * block, WIDTH * BEAD_SLOTS * size * block
+    reach, small, terms, terms_v = 1.0, 0, 0, 0
+    for k in range(size - 2):
+        to = 9 * WIDTH * (size * block + k)
+        for i in range(to, to + 9 * WIDTH, WIDTH):
+            store(by_r, i, splat(0.0))
+            store(by_v, i, splat(0.0))
+        bead_gradient_series(
+            arrays, series.r, three, series.beads, from_, varied.room, 0, size, k, by_r, by_v, to
+        )
+        largest = largest_v = splat(0.0)
+        for i in range(to, to + 9 * WIDTH, WIDTH):
+            largest = larger(largest, fabs(load(by_r, i)))
+            largest_v = larger(largest_v, fabs(load(by_v, i)))
+        matters = _largest_lane(largest) * reach * step * step >= NEGLIGIBLE
+        matters_v = _largest_lane(largest_v) * reach * step >= NEGLIGIBLE
+        terms = k + 1 if matters else terms
+        terms_v = k + 1 if matters_v else terms_v
+        small = 0 if matters or matters_v else small + 1
+        if small == 2:
+            break
         reach *= step
-    return order - 1
+    varied.terms[0, block], varied.terms[1, block] = terms, terms_v
+
+
+@inlined
+def _largest_lane(x):
+    return max(max(lane(x, 0), lane(x, 1)), max(lane(x, 2), lane(x, 3)))
 
 
 @kernel

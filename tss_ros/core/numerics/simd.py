@@ -16,6 +16,9 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 #: arrays, which numba does otherwise, takes as long as a short kernel itself.
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 
+#: Decorates kernels that allocate.
+allocating = njit(cache=True, nogil=True, error_model="numpy")
+
 #: Decorates small pieces of kernels that take whole tuples of arrays: to pass those takes longer
 #: than their work.
 inlined = njit(inline="always")
@@ -123,6 +126,12 @@ def sqrt(_, x):
 
 
 @intrinsic
+def exp(_, x):
+    """Exponential functions."""
+    return _by_llvm("exp", 1)
+
+
+@intrinsic
 def fabs(_, x):
     """Absolute values."""
     return _by_llvm("fabs", 1)
@@ -132,6 +141,12 @@ def fabs(_, x):
 def smaller(_, x, y):
     """The smaller one of each two."""
     return _by_llvm("minnum", 2)
+
+
+@intrinsic
+def larger(_, x, y):
+    """The larger one of each two."""
+    return _by_llvm("maxnum", 2)
 
 
 @intrinsic
@@ -160,6 +175,13 @@ def _define(function, instruction):
     for case in Signatures.cases:
         lower_builtin(function, *case.args)(code)
 
+
+class _Negative(ConcreteTemplate):
+    cases = [signature(LANES, LANES)]
+
+
+infer_global(operator.neg)(_Negative)
+lower_builtin(operator.neg, LANES)(lambda context, builder, sig, args: builder.fneg(args[0]))
 
 for _function, _instruction in _OPERATORS.items():
     _define(_function, _instruction)

@@ -1,0 +1,20 @@
+"""The laws of the model, a file each; a new one is registered here and nowhere else."""
+
+from tss_ros.core.model.laws import (
+    drag,
+    gravity,
+    kelvin_voigt,
+    oblateness,
+    stiffening,
+    tension_only,
+)
+from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, TetherLaw
+
+#: How tethers pull: one of them is chosen by `tether_law`.
+TETHER_LAWS: tuple[TetherLaw, ...] = (kelvin_voigt.LAW, tension_only.LAW, stiffening.LAW)
+#: What accelerates beads: those whose first parameter is not zero act together.
+BEAD_LAWS: tuple[BeadLaw, ...] = (gravity.LAW, gravity.LINEAR_LAW, oblateness.LAW, drag.LAW)
+#: All parameters of laws, each once.
+LAW_PARAMETERS: tuple[LawParameter, ...] = tuple(
+    dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS) for p in law.parameters)
+)

@@ -1,0 +1,143 @@
+"""What a law states, and from which everything else follows.
+
+A tether law states the tension of a taut tether, a bead law the acceleration of a bead, each as an
+expression of `numerics.expressions`. Values, Jacobians, Taylor series and variations are made of
+it (`model.made`); tests hold every registered law to what it declares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tss_ros.core.numerics.expressions import Expression
+
+Vector = tuple[Expression, Expression, Expression]
+
+
+@dataclass(frozen=True)
+class LawParameter:
+    """A number that a law needs, the same for all beads and tethers.
+
+    Attributes
+    ----------
+    name, meaning, unit : str
+        Its name everywhere: scenario key, node parameter, column of a sweep.
+    minimum, maximum, default : float
+    note : str
+        More about it, as a clause; "" for nothing.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    minimum: float
+    maximum: float
+    default: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Stretched:
+    """A taut tether, as its law sees it.
+
+    Attributes
+    ----------
+    length, rate : Expression
+        l [m] > L and l' [m/s], Eq. (6).
+    rest, stiffness, damping : Expression
+        L [m], EA/L [N/m] and C [N s/m], Eqs. (3) and (6).
+    """
+
+    length: Expression
+    rate: Expression
+    rest: Expression
+    stiffness: Expression
+    damping: Expression
+
+
+@dataclass(frozen=True)
+class TetherLaw:
+    """How a tether pulls while it is longer than its rest length.
+
+    Attributes
+    ----------
+    name : str
+        Value of the parameter `tether_law`.
+    meaning : str
+        In a few words.
+    tension : callable
+        Of a `Stretched` and the law's parameters by name: tension [N]. Its part with the rate must
+        be damping * rate, and without it must be 0 at the rest length and grow with the length.
+    energy : callable
+        Likewise: elastic energy [J].
+    pushes : bool
+        Whether the tension may be negative. Where not, a tether is let go where its tension
+        reaches zero, and takes hold again where it would be positive.
+    parameters : tuple of LawParameter
+    """
+
+    name: str
+    meaning: str
+    tension: Callable[..., Expression]
+    energy: Callable[..., Expression]
+    pushes: bool
+    parameters: tuple[LawParameter, ...] = ()
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A bead, as a law sees it, in a frame with the formation's nominal centre as its origin.
+
+    Attributes
+    ----------
+    position, velocity : tuple of Expression
+        [m] and [m/s] in that frame.
+    up : tuple of Expression
+        Unit vector away from the Earth at the centre; the z axis is the orbit normal.
+    radius : Expression
+        R [m] of the orbit.
+    mean_motion : Expression
+        n = sqrt(mu / R^3) [rad/s], the rate of a circular orbit round a round Earth.
+    turning : Expression
+        [rad/s] how fast the frame turns about z, against the stars.
+    """
+
+    position: Vector
+    velocity: Vector
+    up: Vector
+    radius: Expression
+    mean_motion: Expression
+    turning: Expression
+
+
+@dataclass(frozen=True)
+class BeadLaw:
+    """What accelerates every bead.
+
+    Attributes
+    ----------
+    name, meaning : str
+    acceleration : callable
+        Of a `Moving` and the law's parameters by name: three components [m/s^2].
+    parameters : tuple of LawParameter
+        The law acts where the first of them is not zero; one without parameters is chosen by the
+        system.
+    orbit : callable, optional
+        Of R and the law's parameters: (Omega / n)^2 - 1 of the circular orbit that feels the law.
+    by_velocity : bool
+        Whether the acceleration depends on the velocity.
+    from_potential : bool
+        Whether it is the gradient of a potential, so that its Jacobian is symmetric.
+    keeps_plane : bool
+        Whether it leaves beads in the orbit plane that are there.
+    """
+
+    name: str
+    meaning: str
+    acceleration: Callable[..., Vector]
+    parameters: tuple[LawParameter, ...] = ()
+    orbit: Callable[..., float] | None = None
+    by_velocity: bool = False
+    from_potential: bool = True
+    keeps_plane: bool = True

@@ -1,0 +1,330 @@
+"""Kernels made of the laws: values, Jacobians and Taylor series, for tethers and for beads.
+
+Every function here is a piece to be inlined into the kernels of `forces`, `taylor_motion` and
+`taylor_variations`; which law acts is looked up in `KernelArrays` while they run.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.laws.contract import BeadLaw, Moving, Stretched, TetherLaw
+from tss_ros.core.numerics import simd
+from tss_ros.core.numerics.expressions import (
+    Expression,
+    as_number,
+    derivative,
+    distributed,
+    dot,
+    rate,
+    sqrt,
+    substitute,
+    symbol,
+)
+from tss_ros.core.numerics.kernel_maker import INDENT, SeriesProgram, compiled_source, function_of
+from tss_ros.core.numerics.simd import WIDTH
+
+_SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
+_ARRAYS = {"sqrt": np.sqrt, "exp": np.exp}
+_LANES = {name: getattr(simd, name) for name in ("load", "store", "splat", "sqrt", "exp", "WIDTH")}
+
+# -- symbols ---------------------------------------------------------------------------------------
+
+_STRETCHED = Stretched(
+    symbol("length"), symbol("rate"),
+    *(symbol(name, varies=False) for name in ("rest", "stiffness", "damping")),
+)  # fmt: skip
+_CONSTANTS = {p.name: symbol(p.name, varies=False) for p in LAW_PARAMETERS}
+_CONSTANT_SOURCES = {
+    _CONSTANTS[p.name]: f"arrays.constants[{i}]" for i, p in enumerate(LAW_PARAMETERS)
+}
+_R, _V = (tuple(symbol(name) for name in names) for names in (("x", "y", "z"), ("vx", "vy", "vz")))
+_UP = (symbol("upx", varies=False), symbol("upy", varies=False))
+_RADIUS, _MEAN_MOTION, _TURNING = (
+    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning")
+)
+_ORBIT = {
+    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", **_CONSTANT_SOURCES,
+}  # fmt: skip
+
+
+def _own(law):
+    return {p.name: _CONSTANTS[p.name] for p in law.parameters}
+
+
+def tension_of(law: TetherLaw) -> Expression:
+    """Tension of a law as an expression of `length`, `rate`, `rest`, `stiffness`, `damping`.
+
+    Raises
+    ------
+    ValueError
+        If its part with the rate is not damping * rate.
+    """
+    tension = law.tension(_STRETCHED, **_own(law))
+    if derivative(tension, _STRETCHED.rate) is not _STRETCHED.damping:
+        raise ValueError(f"tether law {law.name!r}: the tension must grow by damping * rate")
+    return tension
+
+
+def acceleration_of(law: BeadLaw, up: tuple) -> tuple[Expression, ...]:
+    """Acceleration of a law as expressions of x, y, z, vx, vy, vz, with `up` as given."""
+    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING)
+    return tuple(law.acceleration(moving, **_own(law)))
+
+
+# -- functions of values ---------------------------------------------------------------------------
+
+
+def _choice(name, arguments, pieces, condition, names):
+    """A function that does what the law in force says, by the source of each law's statement."""
+    lines = [f"def {name}({arguments}):"]
+    for i, piece in enumerate(pieces):
+        last = i == len(pieces) - 1
+        test = "else:" if last and i else f"{'elif' if i else 'if'} {condition.format(i)}:"
+        lines += [INDENT + test, *(2 * INDENT + line for line in piece)]
+    return compiled_source(name, "\n".join([*lines, INDENT + "return result"]) + "\n", names)
+
+
+_TETHER_VALUE = "arrays, length, rate, rest, stiffness, damping"
+#: Laws of the same tension share their code: the index into `TENSIONS` of every law's tension.
+TENSIONS = tuple(dict.fromkeys(tension_of(law) for law in TETHER_LAWS))
+TENSION_INDEX = {law.name: TENSIONS.index(tension_of(law)) for law in TETHER_LAWS}
+
+
+def _tether_inputs():
+    names = ("length", "rate", "rest", "stiffness", "damping")
+    return {**{getattr(_STRETCHED, name): name for name in names}, **_CONSTANT_SOURCES}
+
+
+def _tether_function(name, outputs, mathematics, decorate):
+    """A function of values of a tether, with an expression of each law."""
+    functions, lines = {}, []
+    for i, expressions in enumerate(outputs):
+        own = f"{name}_{i}"
+        made = function_of(own, _TETHER_VALUE, _tether_inputs(), expressions, mathematics)
+        functions[own] = decorate(made)
+        lines.append([f"result = {own}({_TETHER_VALUE})"])
+    return decorate(
+        _choice(name, _TETHER_VALUE, lines, "arrays.tension == {}", functions)
+    )
+
+
+_WITH_SLOPE = [(t, derivative(t, _STRETCHED.length)) for t in TENSIONS]
+#: Tension [N] of a taut tether, and its derivative by length [N/m]; that by rate is the damping.
+tension = _tether_function("tension", [(t,) for t in TENSIONS], _SCALARS, simd.inlined)
+tension_and_slope = _tether_function("tension_and_slope", _WITH_SLOPE, _SCALARS, simd.inlined)
+#: The same for numpy arrays.
+tension_and_slope_of_arrays = _tether_function(
+    "tension_and_slope_of_arrays", _WITH_SLOPE, _ARRAYS, lambda function: function
+)
+_ENERGIES = {
+    TENSION_INDEX[law.name]: law.energy(_STRETCHED, **_own(law)) for law in TETHER_LAWS
+}
+#: Elastic energy [J] of taut tethers, for numpy arrays.
+energy_of_arrays = _tether_function(
+    "energy_of_arrays", [(_ENERGIES[i],) for i in range(len(TENSIONS))], _ARRAYS,
+    lambda function: function,
+)  # fmt: skip
+
+_BEAD_VALUE = "arrays, x, y, z, vx, vy, vz, upx, upy, turning"
+_LEVEL_UP = (*_UP, 0.0)
+
+
+def _entries(law, up, by):
+    """Derivatives that make up a law's Jacobian, by place; those that are always zero left out."""
+    a = acceleration_of(law, up)
+    symmetric = law.from_potential
+    found = {
+        (p, q): derivative(a[p], by[q]) for p in range(3) for q in range(p if symmetric else 0, 3)
+    }
+    return {place: entry for place, entry in found.items() if as_number(entry) != 0.0}
+
+
+def _mirrored(law, place):
+    """Both places of an entry of a symmetric Jacobian."""
+    return {place, place[::-1]} if law.from_potential else {place}
+
+
+def _of_all_laws(name, arguments, contribution, ends=(), starts=()):
+    """A function that lets every acting law contribute; of a law: its functions and its lines."""
+    names, lines = dict(_LANES), [f"def {name}({arguments}):", *(INDENT + line for line in starts)]
+    for i, law in enumerate(BEAD_LAWS):
+        functions, own = contribution(law)
+        names |= functions
+        lines += [f"{INDENT}if arrays.acting[{i}]:", *(2 * INDENT + line for line in own)]
+    lines += [INDENT + line for line in ends]
+    return simd.inlined(compiled_source(name, "\n".join(lines) + "\n", names))
+
+
+def _bead_function(name, outputs):
+    inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
+    return {name: simd.inlined(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
+
+
+def _acceleration(law):
+    name = f"acceleration_{law.name}"
+    lines = [f"dx, dy, dz = {name}({_BEAD_VALUE})", "ax, ay, az = ax + dx, ay + dy, az + dz"]
+    return _bead_function(name, acceleration_of(law, _LEVEL_UP)), lines
+
+
+def _jacobian(law):
+    functions, lines = {}, []
+    for matrix, by in (("by_r", _R), ("by_v", _V)):
+        entries = _entries(law, _LEVEL_UP, by)
+        if not entries:
+            continue
+        name = f"{matrix}_{law.name}"
+        functions |= _bead_function(name, entries.values())
+        lines.append(f"d = {name}({_BEAD_VALUE})")
+        for k, place in enumerate(entries):
+            value = f"d[{k}]" if len(entries) > 1 else "d"
+            lines += [f"{matrix}[{p}, {q}] += {value}" for p, q in sorted(_mirrored(law, place))]
+    return functions, lines
+
+
+#: Acceleration [m/s^2] of a bead by all acting laws.
+bead_acceleration = _of_all_laws(
+    "bead_acceleration", _BEAD_VALUE, _acceleration, ["return ax, ay, az"], ["ax = ay = az = 0.0"]
+)
+#: Adds its derivatives by position and velocity to matrices (3, 3).
+bead_jacobian = _of_all_laws("bead_jacobian", f"{_BEAD_VALUE}, by_r, by_v", _jacobian)
+
+# -- Taylor series ---------------------------------------------------------------------------------
+
+_TETHER_LENGTH_2 = dot(_R, _R)
+_AS_SERIES = {
+    _STRETCHED.length: sqrt(_TETHER_LENGTH_2),
+    _STRETCHED.rate: rate(_TETHER_LENGTH_2) / (2.0 * sqrt(_TETHER_LENGTH_2)),
+}
+#: Slots of `taylor_motion.Series.tethers` that all tether laws share: squared length, tension over
+#: length, and what of the latter's variation goes with that of the squared length's logarithm.
+SQUARE, PULL, BY_LOGARITHM = range(3)
+
+
+def _tether_program(tension):
+    over_length = tension / _STRETCHED.length
+    slope = 0.5 * (
+        derivative(over_length, _STRETCHED.length) * _STRETCHED.length
+        + derivative(over_length, _STRETCHED.rate) * _STRETCHED.rate
+    )
+    pull, share = (distributed(substitute(e, _AS_SERIES)) for e in (over_length, slope))
+    inputs = {s: f"load(e, three + 3 * {WIDTH} * ({{}}) + {c * WIDTH})" for c, s in enumerate(_R)}
+    rows = {"stiffness": 1, "damping": 2, "rest": 3}
+    constants = {
+        getattr(_STRETCHED, name): f"load(tether, row + {k * WIDTH})" for name, k in rows.items()
+    }
+    return SeriesProgram(
+        inputs, constants | _CONSTANT_SOURCES,
+        dict(zip("xyz", (pull * s for s in _R))),
+        kept=(_TETHER_LENGTH_2, pull, share),
+        starts={pull: substitute(over_length, _AS_SERIES)},
+        slot=f"at + ({{slot}} * size + {{order}}) * {WIDTH}",
+    )  # fmt: skip
+
+
+_TETHER_SERIES = "arrays, e, three, tether, row, room, at, size, k"
+_TETHER_PROGRAMS = [_tether_program(t) for t in TENSIONS]
+TETHER_SLOTS = max(len(program.slots) for program in _TETHER_PROGRAMS)
+
+
+def _tether_series():
+    functions, pieces = {}, []
+    for i, program in enumerate(_TETHER_PROGRAMS):
+        name = f"tether_series_{i}"
+        functions[name] = simd.inlined(program.function(name, _TETHER_SERIES, _LANES))
+        pieces.append([f"result = {name}({_TETHER_SERIES})"])
+    return simd.inlined(
+        _choice("tether_series", _TETHER_SERIES, pieces, "arrays.tension == {}", functions)
+    )
+
+
+#: Coefficient k of tension over length times the vectors along a block of tethers; fills the slots.
+tether_series = _tether_series()
+
+_UPRIGHT = (0.0, 1.0, 0.0)
+_STEP = 3 * WIDTH
+_BEAD_INPUTS = {
+    **{s: f"load(r, three + {_STEP} * ({{0}}) + {c * WIDTH})" for c, s in enumerate(_R)},
+    **{
+        s: f"(({{0}}) + 1.0) * load(r, three + {_STEP} * (({{0}}) + 1) + {c * WIDTH})"
+        for c, s in enumerate(_V)
+    },
+}
+
+
+def _bead_programs():
+    programs, slots = {}, 0
+    for law in BEAD_LAWS:
+        programs[law.name] = program = SeriesProgram(
+            _BEAD_INPUTS, _ORBIT | {_TURNING: "arrays.rate"},
+            dict(zip("xyz", acceleration_of(law, _UPRIGHT))),
+            slot=f"at + (({slots} + {{slot}}) * size + {{order}}) * {WIDTH}",
+        )  # fmt: skip
+        slots += len(program.slots)
+    return programs, slots
+
+
+_BEAD_PROGRAMS, BEAD_SLOTS = _bead_programs()
+_BEAD_SERIES = "arrays, r, three, room, at, size, k"
+
+
+def _bead_series(law):
+    name = f"series_{law.name}"
+    function = _BEAD_PROGRAMS[law.name].function(name, _BEAD_SERIES, _LANES)
+    lines = [f"dx, dy, dz = {name}({_BEAD_SERIES})", "ax, ay, az = ax + dx, ay + dy, az + dz"]
+    return {name: simd.inlined(function)}, lines
+
+
+#: Coefficient k of the acceleration of a block of beads by all acting laws; fills the slots.
+bead_series = _of_all_laws(
+    "bead_series", _BEAD_SERIES, _bead_series,
+    ["return ax, ay, az"], ["ax = ay = az = splat(0.0)"],
+)  # fmt: skip
+
+
+def _gradient_programs():
+    """Of every law: the entries of its Jacobians by position and velocity, and their program."""
+    programs, slots = {}, 0
+    for law in BEAD_LAWS:
+        motion = _BEAD_PROGRAMS[law.name]
+        known = {
+            expression: "load(nodes, {})".format(motion.at(slot, "({0})").replace("at +", "from_ +"))
+            for expression, slot in motion.slots.items()
+        }
+        entries = {
+            (matrix, *place): entry
+            for matrix, by in (("by_r", _R), ("by_v", _V))
+            for place, entry in _entries(law, _UPRIGHT, by).items()
+        }
+        programs[law.name] = entries, SeriesProgram(
+            _BEAD_INPUTS | known, _ORBIT | {_TURNING: "arrays.rate"},
+            {f"{m}{p}{q}": e for (m, p, q), e in entries.items()},
+            slot=f"at + (({slots} + {{slot}}) * size + {{order}}) * {WIDTH}",
+        )  # fmt: skip
+        slots += len(programs[law.name][1].slots)
+    return programs, slots
+
+
+_GRADIENT_PROGRAMS, GRADIENT_SLOTS = _gradient_programs()
+_GRADIENT_SERIES = "arrays, r, three, nodes, from_, room, at, size, k"
+
+
+def _gradient_series(law):
+    name = f"gradient_{law.name}"
+    entries, program = _GRADIENT_PROGRAMS[law.name]
+    function = program.function(name, _GRADIENT_SERIES, _LANES)
+    lines = [f"d = {name}({_GRADIENT_SERIES})"]
+    for i, (matrix, *place) in enumerate(entries):
+        value = f"d[{i}]" if len(entries) > 1 else "d"
+        for p, q in sorted(_mirrored(law, tuple(place))):
+            where = f"{matrix}, to + {(3 * p + q) * WIDTH}"
+            lines.append(f"store({where}, load({where}) + {value})")
+    return {name: simd.inlined(function)}, lines
+
+
+#: Adds coefficient k of a block's Jacobians, (3, 3, W) from `to` on, by all acting laws.
+bead_gradient_series = _of_all_laws(
+    "bead_gradient_series", f"{_GRADIENT_SERIES}, by_r, by_v, to", _gradient_series
+)
