@@ -11,6 +11,7 @@ from tss_ros.core.model.made import (
     GRADIENT_SLOTS,
     PULL,
     SQUARE,
+    TETHER_SLOTS,
     bead_gradient_series,
 )
 from tss_ros.core.motion.taylor_motion import longest
@@ -24,6 +25,7 @@ from tss_ros.core.numerics.simd import (
     larger,
     load,
     load3,
+    number,
     splat,
     store,
     store3,
@@ -120,23 +122,35 @@ def _bead(arrays, varied, first, bead, k):
     x, block, at = varied.x, bead // WIDTH, bead % WIDTH
     row = 3 * WIDTH * x.shape[2]  # from one coefficient to the next
     now = first + row * k + 3 * WIDTH * bead
-    weight = 1.0 / ((k + 1) * (k + 2))
+    weight, entry = 1.0 / ((k + 1) * (k + 2)), 9 * WIDTH * block * x.shape[1] + at
     vx, vy, _ = load3(x, now + row)
     ax, ay = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
     az = splat(0.0)
     for term in range(min(k + 1, varied.terms[0, block])):
         px, py, pz = load3(x, now - row * term)
-        d = varied.by_r[block, term]
-        ax += d[0, 0, at] * px + d[0, 1, at] * py + d[0, 2, at] * pz
-        ay += d[1, 0, at] * px + d[1, 1, at] * py + d[1, 2, at] * pz
-        az += d[2, 0, at] * px + d[2, 1, at] * py + d[2, 2, at] * pz
+        dx, dy, dz = _apply(varied.by_r, entry + 9 * WIDTH * term, px, py, pz)
+        ax, ay, az = ax + dx, ay + dy, az + dz
     for term in range(min(k + 1, varied.terms[1, block])):
         px, py, pz = load3(x, now + row - row * term)
-        d, share = varied.by_v[block, term], k + 1.0 - term
-        ax += share * (d[0, 0, at] * px + d[0, 1, at] * py + d[0, 2, at] * pz)
-        ay += share * (d[1, 0, at] * px + d[1, 1, at] * py + d[1, 2, at] * pz)
-        az += share * (d[2, 0, at] * px + d[2, 1, at] * py + d[2, 2, at] * pz)
+        dx, dy, dz = _apply(varied.by_v, entry + 9 * WIDTH * term, px, py, pz)
+        share = k + 1.0 - term
+        ax, ay, az = ax + share * dx, ay + share * dy, az + share * dz
     store3(x, now + 2 * row, weight * ax, weight * ay, weight * az)
+
+
+@inlined
+def _apply(matrix, entry, x, y, z):
+    """A matrix, whose entries lie `WIDTH` apart, times a vector of lanes."""
+    w = WIDTH
+    return (
+        number(matrix, entry) * x + number(matrix, entry + w) * y + number(matrix, entry + 2 * w) * z,
+        number(matrix, entry + 3 * w) * x
+        + number(matrix, entry + 4 * w) * y
+        + number(matrix, entry + 5 * w) * z,
+        number(matrix, entry + 6 * w) * x
+        + number(matrix, entry + 7 * w) * y
+        + number(matrix, entry + 8 * w) * z,
+    )
 
 
 @kernel
@@ -170,14 +184,16 @@ def _tether(arrays, series, varied, first, a, k):
     store3(e, 3 * (now + WIDTH), ex, ey, ez)
     s0x, s0y, s0z = series.e[block, 0, 0, at], series.e[block, 0, 1, at], series.e[block, 0, 2, at]
     along = s0x * ex + s0y * ey + s0z * ez
-    square, pulls = series.tethers[block, SQUARE], series.tethers[block, PULL]
-    by_logarithm = series.tethers[block, BY_LOGARITHM]
+    tethers, size = series.tethers, x.shape[1]
+    square = (TETHER_SLOTS * block + SQUARE) * size * WIDTH + at
+    pulls = square + (PULL - SQUARE) * size * WIDTH
+    by_logarithm = square + (BY_LOGARITHM - SQUARE) * size * WIDTH
     ratio = elastic = fx = fy = fz = splat(0.0)
     sx = sy = sz = 0.0  # the pull that goes with s0 is not known yet
     for term in range(k + 1):
         before = now - WIDTH * term
         ex, ey, ez = load3(e, 3 * before)
-        share, p = load(eta, before), pulls[term, at]
+        share, p = load(eta, before), number(tethers, pulls + WIDTH * term)
         if term > 0:
             strength = load(pull, before)
             fx += sx * strength
@@ -190,9 +206,9 @@ def _tether(arrays, series, varied, first, a, k):
         sy = series.e[block, term + 1, 1, at]
         sz = series.e[block, term + 1, 2, at]
         along += sx * ex + sy * ey + sz * ez
-        ratio += square[term + 1, at] * share
-        elastic += by_logarithm[term, at] * share
-    share = (1.0 / square[0, at]) * (2.0 * along - ratio)
+        ratio += number(tethers, square + WIDTH * (term + 1)) * share
+        elastic += number(tethers, by_logarithm + WIDTH * term) * share
+    share = (1.0 / number(tethers, square)) * (2.0 * along - ratio)
     store(eta, now + WIDTH, share)
     strength = (0.5 * arrays.damping[a] * (k + 1)) * share + elastic
     store(pull, now, strength)

@@ -210,6 +210,11 @@ class SeriesProgram:
         for kind, *operands in list(self.nodes.values()):
             if kind == "rate":
                 self._mark_ahead(operands[0])
+        #: What depends on coefficients known one order ahead, the last to be known.
+        self.late = set(self.ahead)
+        for expression in self.nodes:
+            if self.late & {*parts(expression), *self.nodes[expression][1:]}:
+                self.late.add(expression)
 
     # -- the graph ---------------------------------------------------------------------------
 
@@ -377,15 +382,16 @@ class SeriesProgram:
         self.loop: dict[str, str] = {}
         self.lines, self.sums, self.weights = [], [], {}
         self.tail, self.now, self.zeros, self.inverses = [], {}, {}, {}
-        self.counter = 0
+        self.counter, self.within = 0, self._products_within()
         for expression in self.nodes:
             self._advance(expression)
         for name, expression in self.outputs.items():
             self.tail.append(f"out_{name} = {self._now(expression)}")
         lines = [f"s{i} = splat(0.0)" for i in range(len(self.sums))]
+        lines += [f"{name} = splat({begin})" for name, begin, _ in self.weights.values()]
         body = [f"{name} = {source}" for source, name in self.loop.items()]
-        body += [f"{name} = {source}" for source, name in self.weights.items()]
-        body += [f"s{i} += {source}" for i, source in enumerate(self.sums)]
+        body += [f"s{i} += {' + '.join(terms)}" for i, terms in enumerate(self.sums)]
+        body += [f"{name} += {more!r}" for name, _, more in self.weights.values()]
         if self.sums:
             lines += ["for b in range(1, k):", *(INDENT + line for line in body)]
         return lines + self.tail
@@ -402,12 +408,14 @@ class SeriesProgram:
         """Name, within the loop, of a coefficient of order b or of what b leaves of another."""
         return self.loop.setdefault(self._coefficient(expression, order), f"b{len(self.loop)}")
 
-    def _sum(self, source):
-        self.sums.append(source)
+    def _sum(self, *sources):
+        self.sums.append(sources)
         return f"s{len(self.sums) - 1}"
 
-    def _weight(self, source):
-        return self.weights.setdefault(source, f"w{len(self.weights)}")
+    def _weight(self, by_b, by_k):
+        """Name, within the loop, of by_b b + by_k k."""
+        begin = f"{by_b!r} + {by_k!r} * k"
+        return self.weights.setdefault(begin, (f"w{len(self.weights)}", begin, by_b))[0]
 
     def _zero(self, expression):
         """Name of the coefficient of order 0."""
@@ -445,33 +453,79 @@ class SeriesProgram:
         """Compute one coefficient of one node, keep it, and note its share of the loop."""
         kind, *operands = self.nodes[expression]
         order = self._order(expression)
+        if expression in self.within:
+            return
         if kind == "sum":
-            source = _joined([
-                _times(factor, self._now(term, order))
-                for term, factor in expression.terms if varies(term)
-            ])  # fmt: skip
+            source = self._sum_now(expression, order)
         elif kind == "scaled":
             constant = self.constants.value(operands[0])
             source = f"{constant} * {self._now(operands[1], order)}"
         elif kind == "rate":
             source = f"(k + 1.0) * {self._now(operands[0], 'k + 1')}"
         elif kind == "product":
-            source = self._product_now(*operands, order)
+            source = self._products_now([operands], order)
         else:
             source = self._recurrence(expression, kind, operands)
         name = self.now[expression, order] = self._named(source)
         self._keep(self.tail, expression, order, name)
 
-    def _product_now(self, x, y, order):
-        total = self._sum(f"{self._loaded(x, 'b')} * {self._loaded(y, f'{order} - b')}")
-        if order == "k + 1":
-            total += f" + {self._coefficient(x, 'k')} * {self._coefficient(y, '1')}"
-        if x is y:
-            return f"{total} + 2.0 * ({self._zero(x)} * {self._now_of(x, order)})"
-        return (
-            f"{total} + {self._zero(x)} * {self._now_of(y, order)}"
-            f" + {self._now_of(x, order)} * {self._zero(y)}"
-        )
+    def _products_within(self):
+        """Products that only one sum needs, which then adds them up itself, like scalar products.
+
+        Returns a set of them; they must have the factor 1 there and no slot.
+        """
+        users: dict[Expression, list] = {}
+        for expression, (kind, *operands) in self.nodes.items():
+            inner = expression.terms if kind == "sum" else [(o, 0.0) for o in operands]
+            for term, factor in inner:
+                users.setdefault(term, []).append(factor)
+        outputs = set(self.outputs.values()) | set(self.slots)
+        return {
+            e for e, (kind, *_) in self.nodes.items()
+            if kind == "product" and users.get(e) == [1.0] and e not in outputs
+        }  # fmt: skip
+
+    def _sum_now(self, expression, order):
+        inner = [term for term, _ in expression.terms if term in self.within]
+        others = [(t, f) for t, f in expression.terms if varies(t) and t not in self.within]
+        others.sort(key=lambda term: term[0] in self.late)
+        sources = [self._share_now(term, factor, order) for term, factor in others]
+        if inner:
+            sources.insert(0, self._products_now([self.nodes[t][1:] for t in inner], order))
+        return _joined(sources)
+
+    def _share_now(self, term, factor, order):
+        """Source of a term of a sum: numbers and constants are multiplied once."""
+        kind, *operands = self.nodes.get(term, ("",))
+        if kind != "scaled":
+            return _times(factor, self._now(term, order))
+        constant = self.constants.value(multiply(factor, operands[0]))
+        return f"{constant} * {self._now(operands[1], order)}"
+
+    def _products_now(self, pairs, order):
+        """Coefficient of a sum of products; what is known last is added last."""
+        early, late = [self._sum(*(self._pair(x, y, order) for x, y in pairs))], []
+        for x, y in pairs:
+            if order == "k + 1":
+                early.append(f"{self._coefficient(x, 'k')} * {self._coefficient(y, '1')}")
+            for one, other, twice in ((x, y, x is y), (y, x, False)):
+                zero = self._zero(one)
+                zero = self._named(f"2.0 * {zero}") if twice else zero
+                new = late if self._alias(other) in self.late or order == "k + 1" else early
+                new.append(f"{zero} * {self._now_of(other, order)}")
+                if x is y:
+                    break
+        return _joined(early + late)
+
+    def _pair(self, x, y, order):
+        """What a product adds within the loop: the way round for which more is loaded already."""
+        ways = [(x, y)] if order == "k + 1" else [(x, y), (y, x)]
+        missing = [
+            sum(self._coefficient(e, o) not in self.loop for e, o in zip(way, ("b", f"{order} - b")))
+            for way in ways
+        ]
+        x, y = ways[missing.index(min(missing))]
+        return f"{self._loaded(x, 'b')} * {self._loaded(y, f'{order} - b')}"
 
     def _now_of(self, expression, order):
         return self._now(self._alias(expression), order)
@@ -483,16 +537,20 @@ class SeriesProgram:
         x, z = self._loaded(base, "b"), self._loaded(expression, "k - b")
         if kind == "quotient":
             total = self._sum(f"{x} * {z}")
-            over, under = self._now(operands[0]), self._now_of(base, "k")
-            inverse = self._inverse(self._zero(base))
-            return f"({over} - {total} - {under} * {self._zero(expression)}) * {inverse}"
+            over, under = operands[0], self._now_of(base, "k")
+            inverse = factor = self._inverse(self._zero(base))
+            known = self._named(f"({total} + {under} * {self._zero(expression)}) * {inverse}")
+            if self.nodes.get(over, ("",))[0] == "rate":
+                factor, over = self._named(f"(k + 1.0) * {inverse}"), self.nodes[over][1]
+            order = "k + 1" if factor != inverse else "k"
+            return f"{self._now(over, order)} * {factor} - {known}"
         under = self._now_of(base, "k")
         share = self._weight_of_order()
         if kind == "exp":
-            total = self._sum(f"b * ({x} * {z})")
+            total = self._sum(f"{self._weight(1.0, 0.0)} * ({x} * {z})")
             return f"{total} * {share} + {under} * {self._zero(expression)}"
         exponent = operands[1] if kind == "power" else expression.exponent
-        weight = self._weight(f"{exponent + 1.0!r} * b - k")
+        weight = self._weight(exponent + 1.0, -1.0)
         total = self._sum(f"{weight} * ({x} * {z})")
         zero, first = self._zero(expression), self._zero(base)
         if kind == "excess":

@@ -80,6 +80,17 @@ def store(_, array, index, value):
     return types.void(array, types.intp, LANES), code
 
 
+@intrinsic
+def number(_, array, index):
+    """The number at a flat index of a contiguous array of doubles."""
+
+    def code(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.load(builder.gep(data, [args[1]]))
+
+    return types.float64(array, types.intp), code
+
+
 @inlined
 def load3(array, index):
     """Three lots of lanes that follow each other: x, y and z."""
