@@ -176,9 +176,7 @@ class _AveragedBalance:
         # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin
         # of sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
         arrays = kernel_arrays(system, math.sqrt(self.outward))
-        self.arrays = arrays._replace(
-            rate=0.0, bilateral=True, acting=(False,) * len(arrays.acting)
-        )
+        self.arrays = arrays._replace(rate=0.0, bilateral=True, acting=0)
         self.system, self.inward = system, rate**2
         self.symbolic = block_lu.analyse(system.n, system.tether_ends)
         self.taut = np.ones(system.m, dtype=bool)

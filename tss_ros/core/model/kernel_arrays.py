@@ -30,8 +30,8 @@ class KernelArrays(NamedTuple):
         Whether segments are always taut, and whether taut ones may push.
     tension : int
         Index into `made.TENSIONS` of what taut segments do.
-    acting : tuple of bool
-        Which of `laws.BEAD_LAWS` act.
+    acting : int
+        Which of `laws.BEAD_LAWS` act, one bit each.
     constants : tuple of float
         Values of `laws.LAW_PARAMETERS`.
     """
@@ -48,7 +48,7 @@ class KernelArrays(NamedTuple):
     bilateral: bool
     pushes: bool
     tension: int
-    acting: tuple[bool, ...]
+    acting: int
     constants: tuple[float, ...]
 
 
@@ -78,6 +78,6 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],
-        acting=system.acting,
+        acting=sum(1 << i for i, acts in enumerate(system.acting) if acts),
         constants=tuple(system.law_parameters[p.name] for p in LAW_PARAMETERS),
     )

@@ -147,15 +147,35 @@ def _mirrored(law, place):
     return {place, place[::-1]} if law.from_potential else {place}
 
 
-def _of_all_laws(name, arguments, contribution, ends=(), starts=()):
-    """A function that lets every acting law contribute; of a law: its functions and its lines."""
-    names, lines = dict(_LANES), [f"def {name}({arguments}):", *(INDENT + line for line in starts)]
-    for i, law in enumerate(BEAD_LAWS):
-        functions, own = contribution(law)
-        names |= functions
-        lines += [f"{INDENT}if arrays.acting[{i}]:", *(2 * INDENT + line for line in own)]
-    lines += [INDENT + line for line in ends]
-    return simd.inlined(compiled_source(name, "\n".join(lines) + "\n", names))
+def _of_all_laws(name, arguments, contribution, zero=""):
+    """A function that lets every acting law contribute, given a law's functions and lines.
+
+    With a `zero`, these add to ax, ay, az, which begin there and are returned. The first law, which
+    nearly always acts, is inlined; the others are called.
+    """
+    begin = [f"{INDENT}ax = ay = az = {zero}"] if zero else []
+    end = [f"{INDENT}return ax, ay, az"] if zero else []
+
+    def define(name, laws, names, more=()):
+        lines = [f"def {name}({arguments}):", *begin]
+        for law in laws:
+            functions, own = contribution(law)
+            names |= functions
+            lines.append(f"{INDENT}if arrays.acting & {1 << BEAD_LAWS.index(law)}:")
+            lines += [2 * INDENT + line for line in own]
+        return compiled_source(name, "\n".join([*lines, *more, *end]) + "\n", names)
+
+    others = f"{name}_others"
+    kernel = simd.uncached(define(others, BEAD_LAWS[1:], dict(_LANES)))
+    lines = [f"{INDENT}if arrays.acting > 1:"]
+    if zero:
+        lines += [f"{2 * INDENT}dx, dy, dz = {others}({arguments})", f"{2 * INDENT}{_ADD}"]
+    else:
+        lines += [f"{2 * INDENT}{others}({arguments})"]
+    return simd.inlined(define(name, BEAD_LAWS[:1], {**_LANES, others: kernel}, lines))
+
+
+_ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 
 def _bead_function(name, outputs):
@@ -165,7 +185,7 @@ def _bead_function(name, outputs):
 
 def _acceleration(law):
     name = f"acceleration_{law.name}"
-    lines = [f"dx, dy, dz = {name}({_BEAD_VALUE})", "ax, ay, az = ax + dx, ay + dy, az + dz"]
+    lines = [f"dx, dy, dz = {name}({_BEAD_VALUE})", _ADD]
     return _bead_function(name, acceleration_of(law, _LEVEL_UP)), lines
 
 
@@ -186,7 +206,7 @@ def _jacobian(law):
 
 #: Acceleration [m/s^2] of a bead by all acting laws.
 bead_acceleration = _of_all_laws(
-    "bead_acceleration", _BEAD_VALUE, _acceleration, ["return ax, ay, az"], ["ax = ay = az = 0.0"]
+    "bead_acceleration", _BEAD_VALUE, _acceleration, zero="0.0"
 )
 #: Adds its derivatives by position and velocity to matrices (3, 3).
 bead_jacobian = _of_all_laws("bead_jacobian", f"{_BEAD_VALUE}, by_r, by_v", _jacobian)
@@ -220,11 +240,10 @@ def _tether_program(tension):
         dict(zip("xyz", (pull * s for s in _R))),
         kept=(_TETHER_LENGTH_2, pull, share),
         starts={pull: substitute(over_length, _AS_SERIES)},
-        slot=f"at + ({{slot}} * size + {{order}}) * {WIDTH}",
     )  # fmt: skip
 
 
-_TETHER_SERIES = "arrays, e, three, tether, row, room, at, size, k"
+_TETHER_SERIES = "arrays, e, three, tether, row, room, at, k"
 _TETHER_PROGRAMS = [_tether_program(t) for t in TENSIONS]
 TETHER_SLOTS = max(len(program.slots) for program in _TETHER_PROGRAMS)
 
@@ -233,6 +252,7 @@ def _tether_series():
     functions, pieces = {}, []
     for i, program in enumerate(_TETHER_PROGRAMS):
         name = f"tether_series_{i}"
+        program.lie(0, TETHER_SLOTS)
         functions[name] = simd.inlined(program.function(name, _TETHER_SERIES, _LANES))
         pieces.append([f"result = {name}({_TETHER_SERIES})"])
     return simd.inlined(
@@ -254,61 +274,57 @@ _BEAD_INPUTS = {
 }
 
 
-def _bead_programs():
-    programs, slots = {}, 0
-    for law in BEAD_LAWS:
-        programs[law.name] = program = SeriesProgram(
-            _BEAD_INPUTS, _ORBIT | {_TURNING: "arrays.rate"},
-            dict(zip("xyz", acceleration_of(law, _UPRIGHT))),
-            slot=f"at + (({slots} + {{slot}}) * size + {{order}}) * {WIDTH}",
-        )  # fmt: skip
-        slots += len(program.slots)
-    return programs, slots
+def _lie_together(programs):
+    """Give the programs of all laws places beside each other; returns how many slots that takes."""
+    slots = sum(len(program.slots) for program in programs)
+    first = 0
+    for program in programs:
+        program.lie(first, slots)
+        first += len(program.slots)
+    return slots
 
 
-_BEAD_PROGRAMS, BEAD_SLOTS = _bead_programs()
-_BEAD_SERIES = "arrays, r, three, room, at, size, k"
+_ROUND_ORBIT = _ORBIT | {_TURNING: "arrays.rate"}
+_BEAD_PROGRAMS = {
+    law.name: SeriesProgram(
+        _BEAD_INPUTS, _ROUND_ORBIT, dict(zip("xyz", acceleration_of(law, _UPRIGHT)))
+    )
+    for law in BEAD_LAWS
+}
+BEAD_SLOTS = _lie_together(_BEAD_PROGRAMS.values())
+_BEAD_SERIES = "arrays, r, three, room, at, k"
 
 
 def _bead_series(law):
     name = f"series_{law.name}"
     function = _BEAD_PROGRAMS[law.name].function(name, _BEAD_SERIES, _LANES)
-    lines = [f"dx, dy, dz = {name}({_BEAD_SERIES})", "ax, ay, az = ax + dx, ay + dy, az + dz"]
+    lines = [f"dx, dy, dz = {name}({_BEAD_SERIES})", _ADD]
     return {name: simd.inlined(function)}, lines
 
 
 #: Coefficient k of the acceleration of a block of beads by all acting laws; fills the slots.
-bead_series = _of_all_laws(
-    "bead_series", _BEAD_SERIES, _bead_series,
-    ["return ax, ay, az"], ["ax = ay = az = splat(0.0)"],
-)  # fmt: skip
+bead_series = _of_all_laws("bead_series", _BEAD_SERIES, _bead_series, zero="splat(0.0)")
 
 
-def _gradient_programs():
-    """Of every law: the entries of its Jacobians by position and velocity, and their program."""
-    programs, slots = {}, 0
-    for law in BEAD_LAWS:
-        motion = _BEAD_PROGRAMS[law.name]
-        known = {
-            expression: "load(nodes, {})".format(motion.at(slot, "({0})").replace("at +", "from_ +"))
-            for expression, slot in motion.slots.items()
-        }
-        entries = {
-            (matrix, *place): entry
-            for matrix, by in (("by_r", _R), ("by_v", _V))
-            for place, entry in _entries(law, _UPRIGHT, by).items()
-        }
-        programs[law.name] = entries, SeriesProgram(
-            _BEAD_INPUTS | known, _ORBIT | {_TURNING: "arrays.rate"},
-            {f"{m}{p}{q}": e for (m, p, q), e in entries.items()},
-            slot=f"at + (({slots} + {{slot}}) * size + {{order}}) * {WIDTH}",
-        )  # fmt: skip
-        slots += len(programs[law.name][1].slots)
-    return programs, slots
+def _gradient_program(law):
+    """Entries of a law's Jacobians by matrix and place, and the program that makes them."""
+    motion = _BEAD_PROGRAMS[law.name]
+    known = {
+        expression: motion.at(slot, "{0}").replace("room", "nodes").replace("at +", "from_ +")
+        for expression, slot in motion.slots.items()
+    }
+    entries = {
+        (matrix, *place): entry
+        for matrix, by in (("by_r", _R), ("by_v", _V))
+        for place, entry in _entries(law, _UPRIGHT, by).items()
+    }
+    outputs = {f"{matrix}{p}{q}": entry for (matrix, p, q), entry in entries.items()}
+    return entries, SeriesProgram(_BEAD_INPUTS | known, _ROUND_ORBIT, outputs)
 
 
-_GRADIENT_PROGRAMS, GRADIENT_SLOTS = _gradient_programs()
-_GRADIENT_SERIES = "arrays, r, three, nodes, from_, room, at, size, k"
+_GRADIENT_PROGRAMS = {law.name: _gradient_program(law) for law in BEAD_LAWS}
+GRADIENT_SLOTS = _lie_together([program for _, program in _GRADIENT_PROGRAMS.values()])
+_GRADIENT_SERIES = "arrays, r, three, nodes, from_, room, at, k"
 
 
 def _gradient_series(law):

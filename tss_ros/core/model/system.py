@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -157,12 +158,12 @@ class System:
             values[parameter.name] = number
         object.__setattr__(self, "law_parameters", values)
 
-    @property
+    @cached_property
     def law(self) -> TetherLaw:
         """How taut segments pull."""
         return next(law for law in TETHER_LAWS if law.name == self.tether_law)
 
-    @property
+    @cached_property
     def acting(self) -> tuple[bool, ...]:
         """Which of `laws.BEAD_LAWS` act on the beads."""
         chosen = {"gravity": not self.linear_gravity, "linear_gravity": self.linear_gravity}
@@ -217,12 +218,12 @@ class System:
         """R = R_E + H [m]."""
         return RADIUS_EARTH_M + self.orbit_altitude_m
 
-    @property
+    @cached_property
     def mean_motion_rad_s(self) -> float:
         """n = sqrt(mu / R^3) [rad/s]."""
         return math.sqrt(MU_EARTH / self.orbit_radius_m**3)
 
-    @property
+    @cached_property
     def orbit_rate_rad_s(self) -> float:
         """Omega [rad/s]: n, or what the laws that act make of it (`BeadLaw.orbit`)."""
         more = 0.0

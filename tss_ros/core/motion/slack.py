@@ -13,7 +13,10 @@ from tss_ros.core.model.forces import stretch
 from tss_ros.core.model.made import SQUARE, TETHER_SLOTS
 from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
 from tss_ros.core.numerics.loops import add
-from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, smaller, splat, store
+from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, number, smaller, splat, store
+
+#: From one order of `Series.tethers` to the next.
+ORDER = TETHER_SLOTS * WIDTH
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -50,30 +53,30 @@ def first_switch(arrays, tables, step):
 
 
 @kernel
-def first_switch_of_series(arrays, taut, series, h):
+def first_switch_of_series(rest, taut, series, h):
     """Earliest time [s] within a step h of Taylor series where a tether leaves its mode.
 
     Returns the time, exact to rounding, or infinity if there is none; and the tether.
     """
     size, margin, earliest, which = series.r.shape[1], series.margin, np.inf, -1
     for block in range(series.e.shape[0]):
-        first = WIDTH * (TETHER_SLOTS * block + SQUARE) * size
+        first = WIDTH * (TETHER_SLOTS * size * block + SQUARE)
         change, power = splat(0.0), h
         for i in range(1, size):
-            change += power * fabs(load(series.tethers, first + WIDTH * i))
+            change += power * fabs(load(series.tethers, first + ORDER * i))
             power *= h
         store(margin, 0, change)
         open_lanes = 0
-        for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
+        for lane in range(min(WIDTH, rest.size - WIDTH * block)):
             k = WIDTH * block + lane
-            sign, length = 1.0 if taut[k] else -1.0, math.sqrt(series.tethers[block, SQUARE, 0, lane])
-            start = sign * (length - arrays.rest[k]) * (length + arrays.rest[k])
+            sign, length = 1.0 if taut[k] else -1.0, math.sqrt(series.tethers[block, 0, SQUARE, lane])
+            start = sign * (length - rest[k]) * (length + rest[k])
             if start > margin[0, lane]:
                 margin[0, lane] = 0.0
                 continue
             # Where the first three terms say that the switch comes early, search there first.
-            slope = sign * series.tethers[block, SQUARE, 1, lane]
-            bend, guess = sign * series.tethers[block, SQUARE, 2, lane], h
+            slope = sign * series.tethers[block, 1, SQUARE, lane]
+            bend, guess = sign * series.tethers[block, 2, SQUARE, lane], h
             if bend < 0.0 < slope:
                 root = math.sqrt(max(0.0, slope * slope - 4.0 * bend * start))
                 guess = min(h, 0.5 * (slope + root) / -bend)
@@ -83,13 +86,13 @@ def first_switch_of_series(arrays, taut, series, h):
         while open_lanes > 0:
             lowest = _to_bernstein(series, first)
             store(margin, 4 * WIDTH, lowest)
-            for lane in range(min(WIDTH, arrays.rest.size - WIDTH * block)):
+            for lane in range(min(WIDTH, rest.size - WIDTH * block)):
                 sign, part = margin[0, lane], margin[2, lane]
                 if sign == 0.0:
                     continue
                 k, zero = WIDTH * block + lane, np.inf
                 if margin[4, lane] < 0.0:
-                    zero = _zero_of_series(arrays, series, k, h)
+                    zero = _zero_of_series(rest, series, k, h)
                 if zero < earliest:
                     earliest, which = zero, k
                 if zero < np.inf or part >= h:
@@ -109,7 +112,7 @@ def _to_bernstein(series, first):
     for i in range(1, size):
         power *= part
         share *= i / (size - i)
-        store(bernstein, WIDTH * i, share * power * load(series.tethers, first + WIDTH * i))
+        store(bernstein, WIDTH * i, share * power * load(series.tethers, first + ORDER * i))
     for level in range(1, size):
         before = load(bernstein, WIDTH * (level - 1))
         for i in range(level, size):
@@ -121,7 +124,7 @@ def _to_bernstein(series, first):
 
 
 @kernel
-def _zero_of_series(arrays, series, k, h):
+def _zero_of_series(rest, series, k, h):
     """The first zero [s] of a tether's margin as `_to_bernstein` left it, infinity if none."""
     lane, margin = k % WIDTH, series.margin
     size, low, high, changes, positive = series.r.shape[1], 0.0, margin[2, lane], 0, True
@@ -137,18 +140,15 @@ def _zero_of_series(arrays, series, k, h):
         time, reach = zero * high, 1e-6 * high
         low, high = max(0.0, time - reach), min(high, time + reach)
     # The very vectors that tell where the beads are, not the squares: these are cut off elsewhere.
-    sign, square = margin[0, lane], arrays.rest[k] * arrays.rest[k]
+    sign, square = margin[0, lane], rest[k] * rest[k]
+    e, first = series.e, WIDTH * 3 * size * (k // WIDTH) + lane
     for _ in range(60):
         x = y = z = vx = vy = vz = 0.0
-        for i in range(size - 1, 0, -1):
+        for i in range(first + 3 * WIDTH * (size - 1), first - 1, -3 * WIDTH):
             vx, vy, vz = vx * time + x, vy * time + y, vz * time + z
-            x = x * time + series.e[k // WIDTH, i, 0, lane]
-            y = y * time + series.e[k // WIDTH, i, 1, lane]
-            z = z * time + series.e[k // WIDTH, i, 2, lane]
-        vx, vy, vz = vx * time + x, vy * time + y, vz * time + z
-        x = x * time + series.e[k // WIDTH, 0, 0, lane]
-        y = y * time + series.e[k // WIDTH, 0, 1, lane]
-        z = z * time + series.e[k // WIDTH, 0, 2, lane]
+            x = x * time + number(e, i)
+            y = y * time + number(e, i + WIDTH)
+            z = z * time + number(e, i + 2 * WIDTH)
         value, slope = x * x + y * y + z * z - square, 2.0 * (x * vx + y * vy + z * vz)
         if abs(value) <= 8e-15 * square or abs(value) <= 1e-15 * h * abs(slope):
             break

@@ -164,7 +164,7 @@ def explicit_step(arrays, settings, motion, room, stop):
     if t + ENDS_THERE * h >= stop:
         h = stop - t
     if not arrays.bilateral:
-        earliest, which = first_switch_of_series(arrays, motion.taut, series, h)
+        earliest, which = first_switch_of_series(arrays.rest, motion.taut, series, h)
     if which >= 0:
         h = AT_ONCE if earliest < SMALLEST_BEFORE_SWITCH * h else min(earliest, h)
     elif h <= step_control.smallest_step(settings, t):

@@ -58,9 +58,9 @@ class Series(NamedTuple):
         Positions.
     e : ndarray, shape (m/W, N+1, 3, W)
         Vectors along tethers.
-    tethers : ndarray, shape (m/W, TETHER_SLOTS, N+1, W)
+    tethers : ndarray, shape (m/W, N+1, TETHER_SLOTS, W)
         What tether laws need of them: first SQUARE, PULL and BY_LOGARITHM of `model.made`.
-    beads : ndarray, shape (n/W, BEAD_SLOTS, N+1, W)
+    beads : ndarray, shape (n/W, N+1, BEAD_SLOTS, W)
         What the laws of beads need.
     tether : ndarray, shape (m/W, 7, W)
         1 where taut, stiffness, damping, rest length, and room for three components.
@@ -114,7 +114,7 @@ def blank(arrays, order):
             _link(pulls, i, a, -sign * arrays.inv_mass[i])
     return Series(
         np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)),
-        np.ones((m, TETHER_SLOTS, size, WIDTH)), np.zeros((n, BEAD_SLOTS, size, WIDTH)),
+        np.ones((m, size, TETHER_SLOTS, WIDTH)), np.zeros((n, size, BEAD_SLOTS, WIDTH)),
         np.zeros((m, ROWS, WIDTH)),
         np.zeros((5, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
         ends, pulls,
@@ -156,7 +156,7 @@ def expand(arrays, taut, v, r, series):
             x = r[i, c] - r[j, c]
             series.e[block, 0, c, at] = x
             square += x * x
-        series.tethers[block, SQUARE, 0, at] = square
+        series.tethers[block, 0, SQUARE, at] = square
         series.tether[block, 0, at] = 1.0 if taut[a] else 0.0
         series.tether[block, 1, at] = arrays.stiffness[a]
         series.tether[block, 2, at] = arrays.damping[a]
@@ -186,7 +186,7 @@ def _beads(arrays, series, block, k, weight):
     size = series.r.shape[1]
     now, at = 3 * WIDTH * (block * size + k), WIDTH * BEAD_SLOTS * size * block
     gx, gy, gz = bead_series(
-        arrays, series.r, 3 * WIDTH * size * block, series.beads, at, size, k
+        arrays, series.r, 3 * WIDTH * size * block, series.beads, at, k
     )
     vx, vy, _ = load3(series.r, now + 3 * WIDTH)
     fx, fy = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
@@ -229,7 +229,7 @@ def _square(series, block, k):
         xb, yb, zb = load3(series.e, 3 * (one + WIDTH * b))
         xc, yc, zc = load3(series.e, 3 * (one + WIDTH * (k - b)))
         square += xb * xc + yb * yc + zb * zc
-    store(series.tethers, WIDTH * ((TETHER_SLOTS * block + SQUARE) * size + k), square)
+    store(series.tethers, WIDTH * (TETHER_SLOTS * (size * block + k) + SQUARE), square)
 
 
 @inlined
@@ -238,7 +238,7 @@ def _tethers(arrays, series, block, k):
     size, row = series.r.shape[1], block * ROWS * WIDTH
     x, y, z = tether_series(
         arrays, series.e, 3 * WIDTH * size * block, series.tether, row,
-        series.tethers, WIDTH * TETHER_SLOTS * size * block, size, k,
+        series.tethers, WIDTH * TETHER_SLOTS * size * block, k,
     )  # fmt: skip
     taut = load(series.tether, row + TAUT)
     store3(

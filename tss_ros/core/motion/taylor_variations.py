@@ -51,7 +51,7 @@ class Varied(NamedTuple):
         For one block at a time, difference of the variations along every tether.
     eta, pull : ndarray, shape (m, N+1, W)
         Likewise, variation of the logarithm of the squared length and of tension over length.
-    room : ndarray, shape (GRADIENT_SLOTS, N+1, W)
+    room : ndarray, shape (N+1, GRADIENT_SLOTS, W)
     """
 
     x: np.ndarray
@@ -76,7 +76,7 @@ def blank(beads, tethers, order, columns):
         np.empty((tethers, size, 3, WIDTH)),
         np.empty((tethers, size, WIDTH)),
         np.empty((tethers, size, WIDTH)),
-        np.empty((GRADIENT_SLOTS, size, WIDTH)),
+        np.empty((size, GRADIENT_SLOTS, WIDTH)),
     )
 
 
@@ -116,7 +116,7 @@ def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
                     _tether(arrays, series, varied, first, a, k)
 
 
-@kernel
+@inlined
 def _bead(arrays, varied, first, bead, k):
     """Write what the laws of beads and inertia do to coefficient k + 2 of one bead."""
     x, block, at = varied.x, bead // WIDTH, bead % WIDTH
@@ -153,7 +153,7 @@ def _apply(matrix, entry, x, y, z):
     )
 
 
-@kernel
+@inlined
 def _begin_tether(arrays, series, varied, first, a):
     """Coefficients 0 of one tether's differences and logarithmic variation."""
     i, j = arrays.ends[a, 0], arrays.ends[a, 1]
@@ -167,10 +167,10 @@ def _begin_tether(arrays, series, varied, first, a):
         + series.e[block, 0, 1, at] * ey
         + series.e[block, 0, 2, at] * ez
     )
-    store(varied.eta, WIDTH * size * a, (2.0 / series.tethers[block, SQUARE, 0, at]) * along)
+    store(varied.eta, WIDTH * size * a, (2.0 / series.tethers[block, 0, SQUARE, at]) * along)
 
 
-@kernel
+@inlined
 def _tether(arrays, series, varied, first, a, k):
     """Add what one tether does to coefficient k + 2 of the beads at its ends."""
     x, e, eta, pull = varied.x, varied.e, varied.eta, varied.pull
@@ -185,15 +185,15 @@ def _tether(arrays, series, varied, first, a, k):
     s0x, s0y, s0z = series.e[block, 0, 0, at], series.e[block, 0, 1, at], series.e[block, 0, 2, at]
     along = s0x * ex + s0y * ey + s0z * ez
     tethers, size = series.tethers, x.shape[1]
-    square = (TETHER_SLOTS * block + SQUARE) * size * WIDTH + at
-    pulls = square + (PULL - SQUARE) * size * WIDTH
-    by_logarithm = square + (BY_LOGARITHM - SQUARE) * size * WIDTH
+    order, square = TETHER_SLOTS * WIDTH, (TETHER_SLOTS * size * block + SQUARE) * WIDTH + at
+    pulls = square + (PULL - SQUARE) * WIDTH
+    by_logarithm = square + (BY_LOGARITHM - SQUARE) * WIDTH
     ratio = elastic = fx = fy = fz = splat(0.0)
     sx = sy = sz = 0.0  # the pull that goes with s0 is not known yet
     for term in range(k + 1):
         before = now - WIDTH * term
         ex, ey, ez = load3(e, 3 * before)
-        share, p = load(eta, before), number(tethers, pulls + WIDTH * term)
+        share, p = load(eta, before), number(tethers, pulls + order * term)
         if term > 0:
             strength = load(pull, before)
             fx += sx * strength
@@ -206,8 +206,8 @@ def _tether(arrays, series, varied, first, a, k):
         sy = series.e[block, term + 1, 1, at]
         sz = series.e[block, term + 1, 2, at]
         along += sx * ex + sy * ey + sz * ez
-        ratio += number(tethers, square + WIDTH * (term + 1)) * share
-        elastic += number(tethers, by_logarithm + WIDTH * term) * share
+        ratio += number(tethers, square + order * (term + 1)) * share
+        elastic += number(tethers, by_logarithm + order * term) * share
     share = (1.0 / number(tethers, square)) * (2.0 * along - ratio)
     store(eta, now + WIDTH, share)
     strength = (0.5 * arrays.damping[a] * (k + 1)) * share + elastic
@@ -221,7 +221,7 @@ def _tether(arrays, series, varied, first, a, k):
     store3(x, two + row, xj + mj * fx, yj + mj * fy, zj + mj * fz)
 
 
-@kernel
+@inlined
 def _bead_gradients(arrays, series, block, step, varied):
     """Coefficients of the derivatives of a block's laws, and how many there are of each."""
     by_r, by_v, size = varied.by_r, varied.by_v, series.r.shape[1]
@@ -233,7 +233,7 @@ def _bead_gradients(arrays, series, block, step, varied):
             store(by_r, i, splat(0.0))
             store(by_v, i, splat(0.0))
         bead_gradient_series(
-            arrays, series.r, three, series.beads, from_, varied.room, 0, size, k, by_r, by_v, to
+            arrays, series.r, three, series.beads, from_, varied.room, 0, k, by_r, by_v, to
         )
         largest = largest_v = splat(0.0)
         for i in range(to, to + 9 * WIDTH, WIDTH):

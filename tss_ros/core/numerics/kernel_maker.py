@@ -25,6 +25,8 @@ from tss_ros.core.numerics.expressions import (
     varies,
 )
 
+from tss_ros.core.numerics.simd import WIDTH
+
 INDENT = "    "
 
 
@@ -190,14 +192,15 @@ class SeriesProgram:
     starts : mapping
         For some of the expressions another form of the same value, used for order 0, where it
         cancels less.
-    slot : str
-        Source of a coefficient's place in `room`, with `{slot}` and `{order}`.
+
+    The coefficients that later ones need lie in an array `room`, from `at` on: order by order, slot
+    by slot, each a register wide.
     """
 
-    def __init__(self, inputs, constants, outputs, kept=(), starts=None, slot=""):
+    def __init__(self, inputs, constants, outputs, kept=(), starts=None):
         self.inputs, self.outputs = inputs, outputs
         self.starts = starts or {}
-        self.place, self.slots = slot, {}
+        self.first, self.stride, self.slots = 0, None, {}
         self.constants = Values(constants, "c")
         self.nodes: dict[Expression, tuple] = {}
         for expression in kept:
@@ -302,16 +305,24 @@ class SeriesProgram:
 
     # -- the source --------------------------------------------------------------------------
 
+    def lie(self, first: int, stride: int) -> None:
+        """Say where the first slot is among so many of each order; its own ones if never said."""
+        self.first, self.stride = first, stride
+
     def at(self, slot: int, order: str) -> str:
-        """Source of a coefficient's place."""
-        return self.place.format(slot=slot, order=order)
+        """Source that loads a coefficient."""
+        return f"load(room, {self._place(slot, order)})"
+
+    def _place(self, slot, order):
+        stride = len(self.slots) if self.stride is None else self.stride
+        return f"at + {stride * WIDTH} * ({order}) + {(self.first + slot) * WIDTH}"
 
     def _coefficient(self, expression, order):
         """Source of an earlier coefficient of an operand."""
         expression = self._alias(expression)
         if expression in self.inputs:
             return self.inputs[expression].format(order)
-        return f"load(room, {self.at(self.slots[expression], order)})"
+        return self.at(self.slots[expression], order)
 
     def function(self, name: str, arguments: str, names: Mapping[str, Any]) -> Callable:
         """The function of one order k: fills slots and returns the outputs' coefficients.
@@ -331,7 +342,8 @@ class SeriesProgram:
 
     def _keep(self, lines, expression, order, value):
         if expression in self.slots:
-            lines.append(f"store(room, {self.at(self.slots[expression], order)}, {value})")
+            place = self._place(self.slots[expression], order)
+            lines.append(f"store(room, {place}, {value})")
 
     def _start(self):
         """Lines for order 0, and order 1 of what is known one order ahead."""

@@ -16,6 +16,9 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 #: arrays, which numba does otherwise, takes as long as a short kernel itself.
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 
+#: The same for made kernels, which have no file for numba's cache; those that call them have.
+uncached = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
+
 #: Decorates kernels that allocate.
 allocating = njit(cache=True, nogil=True, error_model="numpy")
 
