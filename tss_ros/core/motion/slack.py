@@ -13,7 +13,7 @@ from tss_ros.core.model.forces import stretch
 from tss_ros.core.model.made import SQUARE, TETHER_SLOTS
 from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
 from tss_ros.core.numerics.loops import add
-from tss_ros.core.numerics.simd import WIDTH, fabs, kernel, load, number, smaller, splat, store
+from tss_ros.core.numerics.simd import WIDTH, fabs, inlined, kernel, load, number, smaller, splat, store
 
 #: From one order of `Series.tethers` to the next.
 ORDER = TETHER_SLOTS * WIDTH
@@ -52,7 +52,7 @@ def first_switch(arrays, tables, step):
     return earliest, which
 
 
-@kernel
+@inlined
 def first_switch_of_series(rest, taut, series, h):
     """Earliest time [s] within a step h of Taylor series where a tether leaves its mode.
 
@@ -123,7 +123,7 @@ def _to_bernstein(series, first):
     return lowest
 
 
-@kernel
+@inlined
 def _zero_of_series(rest, series, k, h):
     """The first zero [s] of a tether's margin as `_to_bernstein` left it, infinity if none."""
     lane, margin = k % WIDTH, series.margin

@@ -140,7 +140,7 @@ def _link(links, to, index, weight):
     links.weight[entry, to % WIDTH] += weight
 
 
-@kernel
+@inlined
 def expand(arrays, taut, v, r, series):
     """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame."""
     order, beads, tethers = series.r.shape[1] - 1, r.shape[0], arrays.rest.size

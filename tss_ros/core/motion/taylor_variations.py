@@ -80,7 +80,7 @@ def blank(beads, tethers, order, columns):
     )
 
 
-@kernel
+@inlined
 def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
     """Fill `varied` with the variations that start at x_v, x_r along the motion of `series`.
 
