@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
 
 METHODS = ("monodromy", "frozen")
@@ -64,7 +65,13 @@ class FloquetResult:
         Error of Liouville's formula for log|det M|, see `proofs.liouville_error`. NaN if not
         certified.
     switches : int
-        Slack/taut switches in the turn.
+        Switches in the turn: between slack and taut, and of tethers that only pull between pulling
+        and not.
+    tether_law : str
+        How taut tethers pull, a name in `laws.TETHER_LAWS`.
+    pushing_share : float
+        Share of the time that taut tethers spent pushing in the turn, sampled; 0 for laws that
+        never push, NaN if no turn was made.
     state : State
         Start of the motion analysed.
     message : str
@@ -90,6 +97,8 @@ class FloquetResult:
     det_z_error: float = math.nan
     flow_error: float = math.nan
     switches: int = 0
+    tether_law: str = TETHER_LAWS[0].name
+    pushing_share: float = math.nan
     state: State = field(repr=False)
     segment_error: float = math.nan
     convergence_error: float = math.nan
