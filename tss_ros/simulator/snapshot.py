@@ -12,7 +12,7 @@ from tss_ros.core import TssError
 from tss_ros.simulator.checkpoint import Checkpoint
 
 #: Raised whenever entries change. Version 1 had no number and the integrator's own names.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 
 def write(

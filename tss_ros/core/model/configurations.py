@@ -154,7 +154,7 @@ def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     place = balance.start()
     for _ in range(MOST_MODE_CHANGES):
         place, force = balance.relaxed(place)
-        stretched = forces.tether_state(system, place, balance.still)[2] | system.bilateral
+        stretched = forces.acting_tethers(system, place, balance.still)
         if np.array_equal(stretched, balance.taut):
             break
         balance.taut = stretched

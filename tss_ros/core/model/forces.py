@@ -205,6 +205,17 @@ def tether_state(
     return length, np.where(taut | system.bilateral, pull, 0.0), taut
 
 
+def acting_tethers(
+    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
+) -> np.ndarray:
+    """Which tethers exert a force, the switch s of Eq. (5); shapes as `tether_state`, bool."""
+    length, growth = _lengths(system, position_m, velocity_m_s)
+    acts = (length > system.rest_length_m) | system.bilateral
+    if not system.law.pushes:
+        acts &= tension_and_slopes(kernel_arrays(system, 0.0), length, growth)[0] >= 0.0
+    return acts
+
+
 def elastic_energy(
     system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
 ) -> np.ndarray:

@@ -6,7 +6,7 @@ Two kinds of steps take turns; `step_control` says which is next, and how long i
 import numpy as np
 from numba import njit
 
-from tss_ros.core.model.forces import stretch
+from tss_ros.core.model.forces import stretch, tensions
 from tss_ros.core.model.frames import to_orbit_frame
 from tss_ros.core.model.kernel_arrays import KernelArrays
 from tss_ros.core.motion import step, step_control, taylor_motion
@@ -31,7 +31,7 @@ from tss_ros.core.numerics.simd import WIDTH
 
 #: Outcomes of `advance`.
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
-#: How near to its rest length a tether switches together with another, relative.
+#: How near to its rest length a tether switches together with another, relative to it.
 ON_EDGE = 1e-12
 
 
@@ -60,13 +60,18 @@ def begin(
     n, m, s = r.shape[0], arrays.rest.size, tables.stages
     excess, growth = np.empty(m), np.empty(m)
     stretch(arrays, v, r, excess, growth)
+    # Eq. (5), and at the rest length whichever mode the motion is about to be in.
+    longer = (excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | arrays.bilateral
+    pull = np.empty(m)
+    tensions(arrays, v, r, pull)
+    idle = longer & (pull < 0.0) & (not arrays.pushes)
     progress = np.zeros(1, dtype=PROGRESS)
     progress["implicit_size"], progress["newton_limit"] = first_step, ANY_STEP
     progress["next_kind"] = IMPLICIT if settings.kind == IMPLICIT else EXPLICIT
     return IntegratorState(
         progress=progress,
-        # Eq. (5), and at the rest length whichever mode the motion is about to be in.
-        taut=(excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | arrays.bilateral,
+        taut=longer & ~idle,
+        idle=idle,
         v=np.array(v, dtype=float),
         r=np.array(r, dtype=float),
         start_v=np.array(v, dtype=float),
@@ -124,6 +129,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     implicit = step.implicit_room(arrays, symbolic, tables)
     # Taken out of their tuples once, since each time would count references to them.
     taut, sums, excess, growth = motion.taut, implicit.v, implicit.excess, implicit.growth
+    tethers = arrays.rest.size
     made, most_switches, iterations = 0, at.switches + switches, at.newton_iterations
     # Not plain True, a type of its own that everything would be compiled for once more.
     follows, both = at.steps >= 0, settings.kind == BOTH
@@ -150,7 +156,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
         if h == REJECTED:
             continue
         if h == AT_ONCE:
-            if toggle(arrays, motion, which, ON_EDGE * arrays.rest[which], excess, growth) == 0:
+            if toggle(arrays, motion, which, ON_EDGE, excess, growth) == 0:
                 return STEP_TOO_SMALL
             fastest, dissipation = step_control.taut_rates(arrays, taut, sums)
             if both:
@@ -171,8 +177,9 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
             step_control.choose_kind(at, fastest, settings.bound, natural, price)
             iterations = at.newton_iterations
         if which >= 0:
-            toggle(arrays, motion, which, ON_EDGE * arrays.rest[which], excess, growth)
+            toggle(arrays, motion, which, ON_EDGE, excess, growth)
             fastest, dissipation = step_control.taut_rates(arrays, taut, sums)
+            which %= tethers
             ringing = step_control.ringing_rate(arrays, which) if taut[which] else 0.0
             step_control.after_switch(at, natural, ringing)
             if both:

@@ -11,8 +11,8 @@ import numpy as np
 #: * time: now [s]; implicit_size: next implicit step to try [s];
 #: * step_start, step_size: the last step [s]; newton_limit: longest step that Newton's iteration
 #:   bears [s];
-#: * steps, rejected: steps made and tried in vain; newton_iterations; switches: between slack and
-#:   taut, Eq. (5); sampled: requested states already written;
+#: * steps, rejected: steps made and tried in vain; newton_iterations; switches: of tethers between
+#:   pulling and not, Eq. (5); sampled: requested states already written;
 #: * next_kind, last_kind: IMPLICIT or EXPLICIT; doubts: steps in a row that speak for the other
 #:   kind; hold: explicit steps still to be made whatever speaks against them; backoff: how many
 #:   that will be next time;
@@ -47,7 +47,9 @@ class IntegratorState(NamedTuple):
     ----------
     progress : ndarray, shape (1,), `PROGRESS`
     taut : ndarray, shape (m,), bool
-        The switch s of Eq. (5).
+        Which tethers pull or push, the switch s of Eq. (5).
+    idle : ndarray, shape (m,), bool
+        Which do nothing although they are longer than at rest: their law never pushes.
     v, r : ndarray, shape (n, 3)
         Velocities [m/s] and positions [m] now.
     start_v, start_r : ndarray, shape (n, 3)
@@ -62,6 +64,7 @@ class IntegratorState(NamedTuple):
 
     progress: np.ndarray
     taut: np.ndarray
+    idle: np.ndarray
     v: np.ndarray
     r: np.ndarray
     start_v: np.ndarray

@@ -139,12 +139,12 @@ def explicit_step(arrays, settings, motion, room, stop):
         [s] of the step, or why there was none (`step_control`); and of the step that could have
         been made without switch and stop.
     which : int
-        The tether that switches at its end, or -1.
+        The guard that is reached at its end (see `slack`), or -1.
     """
     at, series, columns = motion.progress[0], room.series, motion.x_r.shape[2]
     t, v, r = at.time, room.v, room.r
     to_orbit_frame(arrays.spin, t, motion.v, motion.r, v, r)
-    taylor_motion.expand(arrays, motion.taut, v, r, series)
+    taylor_motion.expand(arrays, motion.taut, motion.idle, v, r, series)
     natural = min(
         settings.longest,
         taylor_motion.longest_step(series.r, settings.explicit_tolerance, settings.speed),
@@ -164,7 +164,7 @@ def explicit_step(arrays, settings, motion, room, stop):
     if t + ENDS_THERE * h >= stop:
         h = stop - t
     if not arrays.bilateral:
-        earliest, which = first_switch_of_series(arrays.rest, motion.taut, series, h)
+        earliest, which = first_switch_of_series(arrays, motion.taut, motion.idle, series, h)
     if which >= 0:
         h = AT_ONCE if earliest < SMALLEST_BEFORE_SWITCH * h else min(earliest, h)
     elif h <= step_control.smallest_step(settings, t):
@@ -221,7 +221,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
         return REJECTED, full, -1
     fraction, which, h = 2.0, -1, full
     if not arrays.bilateral:
-        fraction, which = first_switch(arrays, tables, step)
+        fraction, which = first_switch(arrays, tables, step, motion.idle)
     if which >= 0:
         h, target, iterations = _end_on_switch(
             arrays, symbolic, tables, settings, step, room, which, fraction
@@ -280,7 +280,7 @@ def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fracti
     Returns the step's size [s], the size aimed at last [s], less than the smallest one if the
     switch is due at once; and the Newton iterations it took, negative if they failed.
     """
-    full, s, v, r = step.size, tables.stages, room.v, room.r
+    full, s, v, r, tethers = step.size, tables.stages, room.v, room.r, arrays.rest.size
     h, target, total = full, fraction * full, 0
     for attempt in range(MOST_ATTEMPTS):
         if attempt:
@@ -296,6 +296,8 @@ def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fracti
         total += abs(iterations)
         if iterations < 0:
             return h, target, -total
+        if which >= tethers:  # The force is continuous there, so that once is near enough.
+            break
         v[:] = step.v
         r[:] = step.r
         add(v, 1.0, step.dv[s - 1])

@@ -141,8 +141,11 @@ def _link(links, to, index, weight):
 
 
 @inlined
-def expand(arrays, taut, v, r, series):
-    """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame."""
+def expand(arrays, taut, idle, v, r, series):
+    """Fill `series` with the motion that starts at v, r (n,3) [m/s, m] in the orbit frame.
+
+    The tension of idle tethers, which do nothing, is filled in, too.
+    """
     order, beads, tethers = series.r.shape[1] - 1, r.shape[0], arrays.rest.size
     for i in range(beads):
         for c in range(3):
@@ -161,7 +164,7 @@ def expand(arrays, taut, v, r, series):
         series.tether[block, 1, at] = arrays.stiffness[a]
         series.tether[block, 2, at] = arrays.damping[a]
         series.tether[block, 3, at] = arrays.rest[a]
-        any_taut |= taut[a]
+        any_taut |= taut[a] | idle[a]
     for k in range(order - 1):
         weight = 1.0 / ((k + 1) * (k + 2))
         for block in range(series.r.shape[0]):

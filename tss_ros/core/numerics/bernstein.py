@@ -20,7 +20,7 @@ def first_zero(coefficient, pieces):
     Parameters
     ----------
     coefficient : ndarray, shape (degree + 1,)
-    pieces : ndarray, shape (DEEPEST + 2, degree + 3)
+    pieces : ndarray, shape (DEEPEST + 2, at least degree + 3)
         Room: coefficients, beginning and width of each piece.
 
     Returns
@@ -44,7 +44,7 @@ def first_zero(coefficient, pieces):
         if changes == 0 and positive:
             continue
         if changes == 1 and not positive:
-            return pieces[depth, low] + pieces[depth, width] * _only_zero(pieces, depth)
+            return pieces[depth, low] + pieces[depth, width] * _only_zero(pieces, depth, count - 1)
         if depth == DEEPEST:
             return pieces[depth, low] + pieces[depth, width]
         # De Casteljau's division: the left half goes on top, the right half stays.
@@ -64,9 +64,9 @@ def first_zero(coefficient, pieces):
 
 
 @kernel
-def _only_zero(pieces, which):
+def _only_zero(pieces, which, degree):
     """The zero in [0, 1] of a polynomial whose Bernstein coefficients become negative once."""
-    low, high, degree, room = 0.0, 1.0, pieces.shape[1] - 3, DEEPEST + 1
+    low, high, room = 0.0, 1.0, DEEPEST + 1
     x = pieces[which, 0] / (pieces[which, 0] - pieces[which, degree])
     for _ in range(60):
         for i in range(degree + 1):

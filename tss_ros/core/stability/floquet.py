@@ -30,6 +30,8 @@ from tss_ros.core.stability.shooting import (
     to_scaled,
 )
 
+#: Samples of a turn that tell how often taut tethers push.
+PUSHING_SAMPLES = 360
 #: Most beads of which all multipliers are computed unless asked, and how many of others.
 MOST_BEADS, LEADING = 100, 12
 
@@ -126,7 +128,20 @@ def _question(method, system, spin):
         "spin_rate_ratio": spin / system.orbit_rate_rad_s,
         "spin_rate_rad_s": spin,
         "period_s": 2.0 * math.pi / abs(spin),
+        "tether_law": system.tether_law,
     }
+
+
+def _pushing_share(integrator, start):
+    """Share of the time that taut tethers push in the turn from a start."""
+    system = integrator.system
+    if not system.law.pushes or not np.any(system.damping_n_s_per_m):
+        return 0.0
+    times = integrator.period_s / PUSHING_SAMPLES * np.arange(PUSHING_SAMPLES)
+    samples, motion = integrator.samples(times), integrator.begin(start)
+    integrator.advance(motion, integrator.period_s, samples=samples)
+    _, tension, taut = forces.tether_state(system, samples.r, samples.v)
+    return forces.pushing_share(tension, taut)
 
 
 def _result(method, integrator, multiplier, family, judgement, residual=(), **known):
@@ -182,6 +197,7 @@ def _whole(turn, initial, initial_closure, correct, certify, cancelled):
         det_z_error=_det_z_error(turn),
         flow_error=_flow_error(turn),
         switches=turn.switches,
+        pushing_share=_pushing_share(integrator, turn.start),
         state=turn.start,
         message=words,
         **proofs,
@@ -215,6 +231,7 @@ def _leading(integrator, initial, count, correct, cancelled):
         initial_closure_residual=initial_closure,
         flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
         switches=motion.switches,
+        pushing_share=_pushing_share(integrator, start),
         state=start,
         message=words,
     )
@@ -236,6 +253,7 @@ def _frozen(integrator, state, cancelled):
         closure_residual=missed.residual,
         initial_closure_residual=missed.residual,
         switches=missed.switches,
+        pushing_share=_pushing_share(integrator, state),
         state=state,
         message=f"{_origin(state)}; a turning configuration treated as if it stood"
         " still, its verdict says little about the motion",
@@ -266,7 +284,7 @@ def _flow_error(turn):
 def _flow_direction(integrator, state):
     arrays = integrator.arrays._replace(spin=0.0)
     r, v = state.position_m, np.ascontiguousarray(state.velocity_m_s)
-    taut = forces.tether_state(integrator.system, r, v)[2] | integrator.system.bilateral
+    taut = forces.acting_tethers(integrator.system, r, v)
     a = np.empty_like(r)
     forces.acceleration(arrays, taut, 0.0, v, np.ascontiguousarray(r), a)
     return to_scaled(integrator, State(v, a))

@@ -31,7 +31,7 @@ def frozen_jacobian(
     arrays = kernel_arrays(system, 0.0)
     symbolic = block_lu.analyse(n, system.tether_ends)
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    taut = forces.tether_state(system, state.position_m, state.velocity_m_s)[2] | system.bilateral
+    taut = forces.acting_tethers(system, state.position_m, state.velocity_m_s)
     forces.jacobian(
         arrays, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
     )
