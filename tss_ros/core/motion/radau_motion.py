@@ -5,6 +5,7 @@ matrices lambda^2 I - lambda B - A of 3x3 blocks, one real and p complex ones, A
 derivatives of the acceleration by position and velocity.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -165,7 +166,7 @@ def solve_stages(arrays, symbolic, tables, settings, step, newton):
     int
         The number of iterations, negative if they did not converge.
     """
-    before = np.inf
+    before = last = np.inf
     for iteration in range(1, 16):
         _place_stages(tables, step, newton)
         _stage_residuals(arrays, tables, step, newton)
@@ -173,15 +174,16 @@ def solve_stages(arrays, symbolic, tables, settings, step, newton):
         size = _apply_correction(tables, newton) / settings.speed
         if not size < 1e3:
             return -iteration
-        ratio = size / before
-        if size <= settings.accuracy and (ratio < 0.9 or size < 1e-2 * settings.accuracy):
+        # Corrections may shrink by turns only, so that two of them tell the pace.
+        pace = math.sqrt(size / before) if iteration > 2 else size / last
+        if size <= settings.accuracy and (pace < 0.9 or size < 1e-2 * settings.accuracy):
             if iteration > 1 or size < 1e-3 * settings.accuracy:
                 break
-        elif iteration > 2 and ratio > 0.5 and size < 1e-12:
-            break
-        elif iteration > 3 and ratio > 0.8:
+        elif iteration > 3 and pace > 0.7:
+            if size < 1e-12:
+                break
             return -iteration
-        before = size
+        before, last = last, size
     else:
         return -15
     _place_stages(tables, step, newton)

@@ -199,7 +199,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     stop : float
         [s] time not to step over.
     follows : bool
-        The last attempt was a step, so that its polynomial is a good guess.
+        Only failed attempts came after the last step, so that its polynomial is a good guess.
 
     Returns
     -------
@@ -225,6 +225,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     if not error <= settings.tolerance:
         step_control.error_too_large(at, full, error, growth)
         return REJECTED, full, -1
+    step_control.newton_succeeded(at, full, iterations)
     fraction, which, h = 2.0, -1, full
     if not arrays.bilateral:
         fraction, which = first_switch(arrays, tables, step)
@@ -250,7 +251,6 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
             return REJECTED, h, -1
         growth = min(growth, scaled * h / full)
     _advance(motion, step, s)
-    at.newton_limit = min(step_control.NEWTON_RELIEF * at.newton_limit, step_control.ANY_STEP)
     if which >= 0 or not last:
         at.implicit_size = full * min(
             max(growth, step_control.LEAST_GROWTH), step_control.MOST_GROWTH
