@@ -2,6 +2,7 @@
 
 Their elements are `simd.Lanes`, or complex numbers of which real and imaginary parts are lanes.
 Kernels index such an array like one of numbers; whatever arithmetic they do is done lane by lane.
+They must not branch on the elements.
 """
 
 import operator
@@ -48,7 +49,7 @@ class LaneArray(types.Type):
         Number of the other axes, of length three each.
     """
 
-    def __init__(self, element, inner):
+    def __init__(self, element: types.Type, inner: int):
         self.element, self.inner = element, inner
         super().__init__(f"LaneArray({element}, {inner})")
 

@@ -4,8 +4,11 @@ Three beads, or three tethers, take little longer this way than one. LLVM vector
 where many turns of them follow each other; the recurrences of Taylor series have few.
 """
 
+from __future__ import annotations
+
 import math
 import operator
+from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
@@ -37,11 +40,11 @@ class Lanes(types.Type):
     def __init__(self):
         super().__init__("Lanes")
 
-    def can_convert_from(self, typingctx, other):
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
         """Numbers become lanes where a variable may be either."""
         return Conversion.safe if other == types.float64 else None
 
-    def unify(self, typingctx, other):
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
         """The type of a variable that may be either."""
         return self if other == types.float64 else None
 
@@ -60,7 +63,7 @@ def _place(context, builder, kind, array, index):
     return builder.bitcast(builder.gep(data, [index]), VECTOR.as_pointer())
 
 
-def spread(builder, x):
+def spread(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
     """Instructions that put a number into all lanes."""
     first = ir.Constant(ir.IntType(32), 0)
     vector = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), x, first)
