@@ -28,7 +28,7 @@ from tss_ros.core.numerics.simd import WIDTH
 
 _SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
 _ARRAYS = {"sqrt": np.sqrt, "exp": np.exp}
-_LANES = {name: getattr(simd, name) for name in ("load", "store", "splat", "sqrt", "exp", "WIDTH")}
+_LANES = {**_SCALARS, "load": simd.load, "store": simd.store, "splat": simd.splat}
 
 # -- symbols ---------------------------------------------------------------------------------------
 

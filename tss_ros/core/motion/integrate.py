@@ -152,9 +152,9 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
             h, natural, which = step.implicit_step(
                 arrays, symbolic, tables, settings, motion, implicit, stop, follows
             )
-        follows = h > 0.0
         if h == REJECTED:
             continue
+        follows = h > 0.0
         if h == AT_ONCE:
             if toggle(arrays, motion, which, ON_EDGE, excess, growth) == 0:
                 return STEP_TOO_SMALL
