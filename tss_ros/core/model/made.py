@@ -180,7 +180,7 @@ _ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 def _bead_function(name, outputs):
     inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
-    return {name: simd.inlined(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
+    return {name: simd.leaf(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
 
 
 def _acceleration(law):
@@ -253,7 +253,7 @@ def _tether_series():
     for i, program in enumerate(_TETHER_PROGRAMS):
         name = f"tether_series_{i}"
         program.lie(0, TETHER_SLOTS)
-        functions[name] = simd.inlined(program.function(name, _TETHER_SERIES, _LANES))
+        functions[name] = simd.leaf(program.function(name, _TETHER_SERIES, _LANES))
         pieces.append([f"result = {name}({_TETHER_SERIES})"])
     return simd.inlined(
         _choice("tether_series", _TETHER_SERIES, pieces, "arrays.tension == {}", functions)
@@ -299,7 +299,7 @@ def _bead_series(law):
     name = f"series_{law.name}"
     function = _BEAD_PROGRAMS[law.name].function(name, _BEAD_SERIES, _LANES)
     lines = [f"dx, dy, dz = {name}({_BEAD_SERIES})", _ADD]
-    return {name: simd.inlined(function)}, lines
+    return {name: simd.leaf(function)}, lines
 
 
 #: Coefficient k of the acceleration of a block of beads by all acting laws; fills the slots.
@@ -337,7 +337,7 @@ def _gradient_series(law):
         for p, q in sorted(_mirrored(law, tuple(place))):
             where = f"{matrix}, to + {(3 * p + q) * WIDTH}"
             lines.append(f"store({where}, load({where}) + {value})")
-    return {name: simd.inlined(function)}, lines
+    return {name: simd.leaf(function)}, lines
 
 
 #: Adds coefficient k of a block's Jacobians, (3, 3, W) from `to` on, by all acting laws.

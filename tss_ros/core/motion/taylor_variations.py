@@ -22,6 +22,7 @@ from tss_ros.core.numerics.simd import (
     inlined,
     kernel,
     lane,
+    leaf,
     larger,
     load,
     load3,
@@ -138,7 +139,7 @@ def _bead(arrays, varied, first, bead, k):
     store3(x, now + 2 * row, weight * ax, weight * ay, weight * az)
 
 
-@inlined
+@leaf
 def _apply(matrix, entry, x, y, z):
     """A matrix, whose entries lie `WIDTH` apart, times a vector of lanes."""
     w = WIDTH
@@ -250,7 +251,7 @@ def _bead_gradients(arrays, series, block, step, varied):
     varied.terms[0, block], varied.terms[1, block] = terms, terms_v
 
 
-@inlined
+@leaf
 def _largest_lane(x):
     return max(max(lane(x, 0), lane(x, 1)), max(lane(x, 2), lane(x, 3)))
 

@@ -103,7 +103,7 @@ def analyse(beads: int, ends: np.ndarray) -> Symbolic:
     )
 
 
-@inlined
+@njit(inline="always")  # For lanes and for numbers, whose kernels allocate.
 def _substitute(symbolic, factored, b, room, subtract_product, apply):
     """Forward and backward substitution in place, for right-hand sides of any kind."""
     for k in range(symbolic.order.size):

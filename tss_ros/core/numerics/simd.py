@@ -31,6 +31,10 @@ allocating = njit(cache=True, nogil=True, error_model="numpy")
 #: than their work.
 inlined = njit(inline="always")
 
+#: The same for pieces without such tuples. These are compiled by themselves, which takes less time,
+#: and then inlined by LLVM.
+leaf = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)
+
 WIDTH = 4
 #: LLVM's type of a register.
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
@@ -114,13 +118,13 @@ def number(_, array, index):
     return types.float64(array, types.intp), code
 
 
-@inlined
+@leaf
 def load3(array, index):
     """Three lots of lanes that follow each other: x, y and z."""
     return load(array, index), load(array, index + WIDTH), load(array, index + 2 * WIDTH)
 
 
-@inlined
+@leaf
 def store3(array, index, x, y, z):
     """Write three lots of lanes that follow each other."""
     store(array, index, x)
