@@ -394,6 +394,11 @@ def test_a_tether_law_that_does_not_push_says_so(law):
     assert (pull.min() < 0.0) == law.pushes
 
 
+def test_the_papers_tether_pushes_and_that_which_only_pulls_does_not():
+    pushes = {law.name: law.pushes for law in TETHER_LAWS}
+    assert pushes["kelvin_voigt"] and not pushes["tension_only"] and not pushes["stiffening"]
+
+
 # -- what bead laws declare ------------------------------------------------------------------------
 
 
@@ -463,11 +468,11 @@ def test_the_circular_orbit_of_a_bead_law_stays_where_it_is(law):
         assert law.orbit is None and np.abs(a[:, 1:]).max() < 1e-17 * gravity
 
 
-# -- the Earth's oblateness ------------------------------------------------------------------------
+# -- gravity and the Earth's oblateness ------------------------------------------------------------
 
 
-def two_beads(**options):
-    """A light system whose tether is slack: each bead is on an orbit of its own."""
+def slack_beads(**options):
+    """A light system whose tethers are slack: each bead is on an orbit of its own."""
     return ring(satellites=3, tether_length_m=1e9, satellite_mass_kg=1.0, **options)
 
 
@@ -526,9 +531,32 @@ def a_few_orbits(seed, n=3):
     return rng.normal(0.0, 3e5, (n, 3)) + [7378e3, 0, 0], rng.normal(0, 300, (n, 3)) + [0, 7e3, 1e3]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_gravity_is_the_printed_formula(seed):
+    """Eq. (2) about the Earth's centre, without what its own frame adds."""
+    q, u = a_few_orbits(seed)
+    expected = -MU_EARTH * q / np.linalg.norm(q, axis=1)[:, None] ** 3
+    a = Inertial(slack_beads()).acceleration(q, u)
+    np.testing.assert_allclose(a, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
+
+
+def test_linear_gravity_is_gravity_to_first_order():
+    """Half as far from the centre, the two differ by a quarter."""
+    r = np.random.default_rng(1).normal(0.0, 1e3, (3, 3))
+    still, none = np.zeros((3, 3)), np.zeros(3, dtype=bool)
+    full, linear = (kernel_arrays(slack_beads(linear_gravity=x), 0.0) for x in (False, True))
+    gaps = [
+        acceleration(full, none, still, part * r) - acceleration(linear, none, still, part * r)
+        for part in (1.0, 0.5)
+    ]
+    largest = np.abs(gaps[0]).max()
+    assert largest < 1e-3 * np.abs(acceleration(linear, none, still, r)).max()
+    np.testing.assert_allclose(gaps[1], gaps[0] / 4.0, rtol=0.0, atol=1e-3 * largest)
+
+
 def test_a_circle_round_the_equator_is_faster_on_an_oblate_earth():
     """Its centrifugal force balances mu/R^2 (1 + (3/2) J2 (Re/R)^2)."""
-    system = two_beads(j2=1.08263e-3)
+    system = slack_beads(j2=1.08263e-3)
     radius = system.orbit_radius_m
     pull = MU_EARTH / radius**2 * (1.0 + 1.5 * 1.08263e-3 * (6378.137e3 / radius) ** 2)
     assert system.orbit_rate_rad_s**2 * radius == pytest.approx(pull, rel=1e-14)
@@ -545,7 +573,7 @@ def test_oblateness_is_the_printed_formula(seed):
     expected = -1.5 * j2 * MU_EARTH * 6378.137e3**2 / r**5 * np.hstack(
         [(1.0 - tall) * q[:, :2], (3.0 - tall) * q[:, 2:]]
     )  # fmt: skip
-    a = Inertial(two_beads(j2=j2)).acceleration(q, u) - Inertial(two_beads()).acceleration(q, u)
+    a = Inertial(slack_beads(j2=j2)).acceleration(q, u) - Inertial(slack_beads()).acceleration(q, u)
     np.testing.assert_allclose(a, expected, atol=2e-12 * np.abs(expected).max() / j2)
 
 
@@ -599,7 +627,7 @@ def test_node_and_perigee_of_inclined_orbits_move_as_they_should(degrees):
     The frame is one of an equatorial orbit, the bead's own orbit is not.
     """
     j2 = 2e-5
-    system = two_beads(j2=j2)
+    system = slack_beads(j2=j2)
     times, found = at_perigees(system, math.radians(degrees), 0.1, 3)
     (node, perigee, i, p, a), end = found[0], found[-1]
     lasted = times[-1] - times[0]
@@ -613,7 +641,7 @@ def test_node_and_perigee_of_inclined_orbits_move_as_they_should(degrees):
 
 def test_the_perigee_of_a_nearly_equatorial_orbit_moves_half_as_fast_as_from_its_node():
     """Against the stars: 3 - 3/2, since the node goes back; what a formation's orbit shows."""
-    system = two_beads(j2=2e-5)
+    system = slack_beads(j2=2e-5)
     times, found = at_perigees(system, 1e-3, 0.05, 3)
     longitude = [node + perigee for node, perigee, *_ in found]
     _, _, _, p, a = found[0]
@@ -630,18 +658,18 @@ DRAG = {"drag_m2_per_kg": 2.0, "air_density_kg_m3": 1e-13, "scale_height_m": 6e4
 @pytest.mark.parametrize("seed", range(3))
 def test_drag_is_that_of_air_which_turns_with_the_earth(seed):
     q, u = a_few_orbits(seed)
-    system = two_beads(**DRAG)
+    system = slack_beads(**DRAG)
     against = u - EARTH_RATE_RAD_S * np.cross([0.0, 0.0, 1.0], q)
     height = np.linalg.norm(q, axis=1)[:, None] - system.orbit_radius_m
     density = 1e-13 * np.exp(-height / 6e4)
     expected = -0.5 * density * 2.0 * np.linalg.norm(against, axis=1)[:, None] * against
-    a = Inertial(system).acceleration(q, u) - Inertial(two_beads()).acceleration(q, u)
+    a = Inertial(system).acceleration(q, u) - Inertial(slack_beads()).acceleration(q, u)
     np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-13)
 
 
 def test_drag_makes_circular_orbits_fall():
     """da/dt = -rho (Cd A/m) sqrt(mu a), times ((v - wind) / v)^2 as the air turns, too."""
-    system = two_beads(**DRAG)
+    system = slack_beads(**DRAG)
     seen, n, radius = Inertial(system), system.mean_motion_rad_s, system.orbit_radius_m
     end = 2.0 * math.pi / n
     q, u = seen.seen(0.0, np.zeros(3), np.zeros(3))
