@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.model.laws.contract import BeadLaw, Moving, Stretched, TetherLaw
 from tss_ros.core.numerics import simd
@@ -42,11 +43,12 @@ _CONSTANT_SOURCES = {
 }
 _R, _V = (tuple(symbol(name) for name in names) for names in (("x", "y", "z"), ("vx", "vy", "vz")))
 _UP = (symbol("upx", varies=False), symbol("upy", varies=False))
-_RADIUS, _MEAN_MOTION, _TURNING = (
-    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning")
+_RADIUS, _MEAN_MOTION, _TURNING, _RATE = (
+    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning", "orbit_rate")
 )
 _ORBIT = {
-    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", **_CONSTANT_SOURCES,
+    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", _RATE: "arrays.rate",
+    **_CONSTANT_SOURCES,
 }  # fmt: skip
 
 
@@ -70,7 +72,7 @@ def tension_of(law: TetherLaw) -> Expression:
 
 def acceleration_of(law: BeadLaw, up: tuple) -> tuple[Expression, ...]:
     """Acceleration of a law as expressions of x, y, z, vx, vy, vz, with `up` as given."""
-    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING)
+    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING, _RATE)
     return tuple(law.acceleration(moving, **_own(law)))
 
 

@@ -161,9 +161,12 @@ def multiply(*values: Any) -> Expression:
 def power(value: Any, exponent: float) -> Expression:
     """A power with a number as exponent; (x^a)^b is taken for x^(a b), as for positive x."""
     number, terms = _parts(value)
+    whole = float(exponent).is_integer()
     if not terms:
+        if number < 0.0 and not whole:
+            raise ValueError(f"there is no ({number:g})^{exponent:g}")
         return _sum(number**exponent, {})
-    if number == 0.0 and len(terms) == 1:
+    if number == 0.0 and len(terms) == 1 and (whole or terms[0][1] > 0.0):
         base, factor = terms[0]
         if factor != 1.0:
             return multiply(factor**exponent, power(base, exponent))

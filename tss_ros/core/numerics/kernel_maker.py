@@ -24,7 +24,6 @@ from tss_ros.core.numerics.expressions import (
     power,
     varies,
 )
-
 from tss_ros.core.numerics.simd import WIDTH
 
 INDENT = "    "
@@ -145,10 +144,16 @@ class Values:
         if expression not in self.known and isinstance(expression, Product):
             (base, exponent), *others = expression.factors
             if not others and 0.0 < exponent < 1.0:
-                inner = self.value(base)
-                source = f"sqrt({inner})" if exponent == 0.5 else f"{inner} ** {exponent!r}"
-                self.known[expression] = self.name(source)
+                self.known[expression] = self.name(self._root(base, exponent))
         return self.value(expression)
+
+    def _root(self, base, exponent):
+        """A power between 0 and 1, of square roots if they make it: registers have no others."""
+        if not _of_roots(exponent):
+            return f"{self.value(base)} ** {exponent!r}"
+        if exponent <= 0.5:
+            return f"sqrt({self._piece(power(base, 2.0 * exponent))})"
+        return f"{self._piece(power(base, 0.5))} * {self._piece(power(base, exponent - 0.5))}"
 
     def _excess(self, x, exponent):
         """(1 + x)^(n/2) - 1 as ((1 + x)^n - 1) / ((1 + x)^(n/2) + 1), where nothing cancels."""
@@ -161,6 +166,11 @@ class Values:
         p = self.name(whole)
         under = f"({p} * (1.0 + {p}))" if exponent < 0.0 else f"(1.0 + {p})"
         return f"{'-' if exponent < 0.0 else ''}{x} * {polynomial} / {under}"
+
+
+def _of_roots(exponent):
+    """Whether a few square roots and products make this power."""
+    return (64.0 * exponent).is_integer()
 
 
 def _times(factor, value):
@@ -213,6 +223,8 @@ class SeriesProgram:
         for kind, *operands in list(self.nodes.values()):
             if kind == "rate":
                 self._mark_ahead(operands[0])
+        for expression in self._used_behind():
+            self._stored(expression)
         #: What depends on coefficients known one order ahead, the last to be known.
         self.late = set(self.ahead)
         for expression in self.nodes:
@@ -235,12 +247,19 @@ class SeriesProgram:
             if expression.name != "rate":
                 self._history(operand)
                 self._history(expression)
-        else:
+        elif isinstance(expression, Product):
             entry = self._product(expression)
+        else:
+            raise ValueError(f"nothing is known of {expression}")
         self.nodes[expression] = entry
         return expression
 
     def _product(self, expression):
+        for base, exponent in expression.factors:
+            if varies(base) and not _of_roots(exponent):
+                raise ValueError(
+                    f"series have powers made of square roots, got exponent {exponent:g} of {base}"
+                )
         constant = [(b, e) for b, e in expression.factors if not varies(b)]
         if constant:
             rest = multiply(*(power(b, e) for b, e in expression.factors if varies(b)))
@@ -302,6 +321,14 @@ class SeriesProgram:
         for operand in self.nodes.get(expression, ())[1:]:
             if isinstance(operand, Expression):
                 self._mark_ahead(operand)
+
+    def _used_behind(self):
+        """What is known one order ahead and used, too, by what is not: it must be remembered."""
+        used = set(self.outputs.values())
+        for expression, (kind, *operands) in self.nodes.items():
+            if expression not in self.ahead and kind != "rate":
+                used.update(parts(expression) if kind == "sum" else operands)
+        return [expression for expression in self.nodes if expression in self.ahead & used]
 
     # -- the source --------------------------------------------------------------------------
 
@@ -532,8 +559,9 @@ class SeriesProgram:
     def _pair(self, x, y, order):
         """What a product adds within the loop: the way round for which more is loaded already."""
         ways = [(x, y)] if order == "k + 1" else [(x, y), (y, x)]
+        orders = "b", f"{order} - b"
         missing = [
-            sum(self._coefficient(e, o) not in self.loop for e, o in zip(way, ("b", f"{order} - b")))
+            sum(self._coefficient(e, o) not in self.loop for e, o in zip(way, orders))
             for way in ways
         ]
         x, y = ways[missing.index(min(missing))]

@@ -101,6 +101,8 @@ class Moving:
         n = sqrt(mu / R^3) [rad/s], the rate of a circular orbit round a round Earth.
     turning : Expression
         [rad/s] how fast the frame turns about z, against the stars.
+    rate : Expression
+        Omega [rad/s], how fast the centre goes round the Earth, and `up` turns.
     """
 
     position: Vector
@@ -109,6 +111,7 @@ class Moving:
     radius: Expression
     mean_motion: Expression
     turning: Expression
+    rate: Expression
 
 
 @dataclass(frozen=True)
