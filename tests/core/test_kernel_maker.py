@@ -20,8 +20,9 @@ from tss_ros.core.numerics.expressions import (
     sqrt,
     symbol,
 )
-from tss_ros.core.numerics.kernel_maker import SeriesProgram, function_of
+from tss_ros.core.numerics.series_maker import SeriesProgram
 from tss_ros.core.numerics.simd import WIDTH
+from tss_ros.core.numerics.value_maker import function_of
 
 VARYING, CONSTANT = ("x", "y", "z"), ("c", "d")
 SYMBOLS = {name: symbol(name, varies=name in VARYING) for name in (*VARYING, *CONSTANT)}
@@ -45,7 +46,7 @@ NUMPY_LANES = {
     "load": lambda array, at: array[at : at + WIDTH].copy(),
     "store": store, "splat": splat, "sqrt": np.sqrt, "exp": np.exp, "WIDTH": WIDTH,
 }  # fmt: skip
-LANES = {name: getattr(simd, name) for name in NUMPY_LANES}
+LANES = {name: getattr(simd, name, getattr(math, name, None)) for name in NUMPY_LANES}
 INPUTS = {
     SYMBOLS[name]: f"load(s, {len(VARYING) * WIDTH} * ({{0}}) + {i * WIDTH})"
     for i, name in enumerate(VARYING)

@@ -24,8 +24,9 @@ from tss_ros.core.numerics.expressions import (
     substitute,
     symbol,
 )
-from tss_ros.core.numerics.kernel_maker import INDENT, SeriesProgram, compiled_source, function_of
+from tss_ros.core.numerics.series_maker import SeriesProgram
 from tss_ros.core.numerics.simd import WIDTH
+from tss_ros.core.numerics.value_maker import INDENT, compiled_source, function_of
 
 _SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
 _ARRAYS = {"sqrt": np.sqrt, "exp": np.exp}

@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import acceleration
 from tss_ros.core.numerics.block_lu import factor, solve, solve_columns
@@ -17,6 +16,7 @@ from tss_ros.core.numerics.lane_arrays import complex_lanes, in_lanes
 from tss_ros.core.numerics.loops import add
 from tss_ros.core.numerics.simd import (
     WIDTH,
+    allocating,
     fabs,
     inlined,
     kernel,
@@ -88,7 +88,7 @@ class Newton(NamedTuple):
     error_r: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def blank(symbolic, tables, beads):
     """A `Newton`."""
     blocks, entries, systems = symbolic.blocks, symbolic.row.size, tables.value.shape[0]

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import acceleration, jacobian, stretch
 from tss_ros.core.model.frames import (
@@ -26,7 +25,7 @@ from tss_ros.core.motion.step_control import (
 )
 from tss_ros.core.numerics.lane_arrays import in_lanes
 from tss_ros.core.numerics.loops import add, sum_of
-from tss_ros.core.numerics.simd import WIDTH, inlined, kernel, load, splat, store
+from tss_ros.core.numerics.simd import WIDTH, allocating, inlined, kernel, load, splat, store
 
 #: Most attempts to end a step on a switch.
 MOST_ATTEMPTS = 6
@@ -72,7 +71,7 @@ class ImplicitRoom(NamedTuple):
     growth: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def explicit_room(arrays, order, columns):
     """An `ExplicitRoom` for so many columns of variations."""
     n, m = arrays.inv_mass.size, arrays.rest.size
@@ -84,7 +83,7 @@ def explicit_room(arrays, order, columns):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def implicit_room(arrays, symbolic, tables):
     """An `ImplicitRoom`."""
     s, n, m = tables.stages, arrays.inv_mass.size, arrays.rest.size
@@ -188,7 +187,7 @@ def explicit_step(arrays, settings, motion, room, stop):
     return h, natural, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follows):
     """One step by Radau collocation, up to the first switch.
 

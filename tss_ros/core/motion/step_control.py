@@ -174,11 +174,14 @@ def choose_kind(at, rate, bound, natural, price):
 
 
 @kernel
-def ringing_rate(arrays, which):
-    """Bound [1/s] of the rates at which one taut tether alone swings or decays."""
-    i, j = arrays.ends[which, 0], arrays.ends[which, 1]
+def ringing_rate(arrays, taut, guard):
+    """Bound [1/s] of the rates at which the tether of a guard swings or decays; 0 if not taut."""
+    k = guard % arrays.rest.size
+    if not taut[k]:
+        return 0.0
+    i, j = arrays.ends[k, 0], arrays.ends[k, 1]
     weight = arrays.inv_mass[i] + arrays.inv_mass[j]
-    return arrays.damping[which] * weight + math.sqrt(arrays.stiffness[which] * weight)
+    return arrays.damping[k] * weight + math.sqrt(arrays.stiffness[k] * weight)
 
 
 @kernel

@@ -1,8 +1,8 @@
 """Expressions: formulas as graphs, with their derivatives.
 
-A formula is written once with + - * / and powers. `kernel_maker` turns it, and what is derived from
-it here, into compiled code. Equal expressions are equal objects, and simple ones of the same value
-(x x and x^2, a/b/b and a/b^2) are the same expression.
+A formula is written once with + - * / and powers. `value_maker` and `series_maker` turn it, and
+what is derived from it here, into compiled code. Equal expressions are the same object, and so are
+simple ones of the same value (x x and x^2, a/b/b and a/b^2).
 """
 
 from __future__ import annotations

@@ -17,15 +17,34 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
+from tss_ros.core.fingerprint import fingerprint
+
+
+def _cached(**options):
+    """A decorator like `njit` whose cache holds for as long as nothing in the core has changed.
+
+    Numba itself looks only at the file of the function, not at what is inlined into it.
+    """
+
+    def decorate(function):
+        dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        return dispatcher
+
+    return decorate
+
+
 #: Decorates kernels that allocate nothing, nor do those they call. Counting references to their
 #: arrays, which numba does otherwise, takes as long as a short kernel itself.
-kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
+kernel = _cached(fastmath={"contract"}, _nrt=False)
 
 #: The same for made kernels, which have no file for numba's cache; those that call them have.
 uncached = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 
 #: Decorates kernels that allocate.
-allocating = njit(cache=True, nogil=True, error_model="numpy")
+allocating = _cached()
+#: The same where products may be added without rounding in between.
+allocating_contracted = _cached(fastmath={"contract"})
 
 #: Decorates small pieces of kernels that take whole tuples of arrays: to pass those takes longer
 #: than their work.
