@@ -129,8 +129,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     # Taken out of their tuples once, since each time would count references to them.
     taut, sums, excess, growth = motion.taut, implicit.v, implicit.excess, implicit.growth
     made, most_switches, iterations = 0, at.switches + switches, at.newton_iterations
-    # Not plain True, a type of its own that everything would be compiled for once more.
-    follows, both = at.steps >= 0, settings.kind == BOTH
+    follows, both = at.steps >= 0, settings.kind == BOTH  # Not plain True: another type.
     cost = COST_VARIED if columns > 0 else COST
     if both and n > FEW_BEADS and columns > 0:
         both, at.next_kind = False, IMPLICIT
