@@ -198,6 +198,8 @@ def _jacobian(law):
         entries = _entries(law, _LEVEL_UP, by)
         if not entries:
             continue
+        if matrix == "by_v" and not law.by_velocity:
+            raise ValueError(f"bead law {law.name!r} depends on the velocity: say by_velocity=True")
         name = f"{matrix}_{law.name}"
         functions |= _bead_function(name, entries.values())
         lines.append(f"d = {name}({_BEAD_VALUE})")

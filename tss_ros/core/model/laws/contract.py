@@ -144,3 +144,10 @@ class BeadLaw:
     by_velocity: bool = False
     from_potential: bool = True
     keeps_plane: bool = True
+
+    def __post_init__(self):
+        if self.by_velocity and self.from_potential:
+            raise ValueError(
+                f"bead law {self.name!r} depends on the velocity, so it has no potential:"
+                " say from_potential=False"
+            )
