@@ -85,11 +85,13 @@ def test_a_motion_is_that_of_the_greater_of_zero_and_spring_plus_damper(pulling)
 @pytest.mark.parametrize("integrator", ["taylor", "radau"])
 def test_both_kinds_of_steps_find_the_same_switches(pulling, integrator):
     system, start = pulling
-    times = np.linspace(0.0, 0.5 * turn_s(system), 20)
-    auto = Propagator(system, RATE, start, rtol=1e-11)
-    other = Propagator(system, RATE, start, rtol=1e-11, integrator=integrator)
-    np.testing.assert_allclose(other.sample(times)[0], auto.sample(times)[0], rtol=0, atol=1e-6)
-    assert other.switches == auto.switches
+    spin, ends = system.spin_rate_rad_s(RATE), []
+    for kind in ("auto", integrator):
+        flow = Integrator(system, spin, 1e-11, 5e3, integrator=kind)
+        ends.append(flow.begin(start))
+        flow.advance(ends[-1], 0.5 * turn_s(system))
+    np.testing.assert_allclose(ends[1].r, ends[0].r, rtol=0, atol=1e-6)
+    assert ends[1].switches == ends[0].switches > 20
 
 
 def test_no_tether_ever_pushes_and_idle_ones_are_seen(pulling):
@@ -99,7 +101,7 @@ def test_no_tether_ever_pushes_and_idle_ones_are_seen(pulling):
     length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
     acting = forces.acting_tethers(system, position_m, velocity_m_s)
     assert tension_n.min() == 0.0
-    assert np.count_nonzero(taut & ~acting) > 100  # longer than at rest, and yet without tension
+    assert np.count_nonzero(taut & ~acting) > 50  # longer than at rest, and yet without tension
     assert np.all(tension_n[taut & ~acting] == 0.0)
     assert forces.pushing_share(tension_n, taut) == 0.0
 
@@ -170,7 +172,12 @@ def test_damping_buys_no_stability_beyond_the_slack_limit():
 
 def test_a_disturbed_motion_says_the_same_as_the_multipliers():
     system = ring(tether_law="tension_only")
-    assert confirm(system, -2.6, turns=12).verdict != confirm(system, -2.2, turns=12).verdict
+    for rate, holds in ((-2.6, True), (-2.2, False)):
+        seen, said = confirm(system, rate, turns=12), compute_floquet(system, rate, certify=False)
+        assert seen.held is holds
+        assert seen.agrees_with(said)
+        assert seen.pushing_share == 0.0
+    assert confirm(ring(), -2.2, turns=12).pushing_share > 0.1
 
 
 def test_critical_rates_are_those_of_the_law():

@@ -376,15 +376,10 @@ def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
     return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
 
 
-def _same_fields(kind, value, **unless_there):
-    """A message with the fields of `value`; what it does not say of pushing is NaN."""
-    others = {"pushing_share": math.nan, **unless_there}
-    return kind(
-        **{
-            name: getattr(value, name) if hasattr(value, name) else others[name]
-            for name in kind.get_fields_and_field_types()
-        }
-    )
+def _same_fields(kind, value, **others):
+    """A message with the fields of `value`, and others by name."""
+    names = kind.get_fields_and_field_types()
+    return kind(**{n: others[n] if n in others else getattr(value, n) for n in names})
 
 
 def _doubles(values):

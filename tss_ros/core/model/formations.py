@@ -70,9 +70,7 @@ def assemble(
     satellites : sequence of Satellite
     tethers : sequence of Tether
     orbit_altitude_m : float
-    linear_gravity, bilateral : bool
-    tether_law : str
-    **law_parameters : float
+    linear_gravity, bilateral, tether_law, **law_parameters
         See `System`.
 
     Returns
@@ -114,21 +112,17 @@ def assemble(
             inner.append(add_beads(tethers[i]))
     if not cyclic:
         inner = [add_beads(tether) for tether in tethers]
-
     segment_names, ends = _segments(tethers, place_of, inner)
-
-    def by_segment(field):
-        return [value for tether in tethers for value in getattr(tether, field)]
-
     return System(
         tuple(names),
         is_satellite,
         masses,
         tuple(segment_names),
         np.array(ends, dtype=np.int64).reshape(-1, 2),
-        by_segment("length_m"),
-        by_segment("axial_stiffness_n"),
-        by_segment("damping_n_s_per_m"),
+        *(
+            [value for tether in tethers for value in getattr(tether, field)]
+            for field in ("length_m", "axial_stiffness_n", "damping_n_s_per_m")
+        ),
         places,
         orbit_altitude_m,
         linear_gravity,
@@ -215,9 +209,7 @@ def formation(
     bead_mass_kg : float or sequence
         [kg] one for all, one per tether (of each of its beads), or one per bead.
     orbit_altitude_m : float
-    linear_gravity, bilateral : bool
-    tether_law : str
-    **law_parameters : float
+    linear_gravity, bilateral, tether_law, **law_parameters
         See `System`.
 
     Returns
@@ -233,10 +225,8 @@ def formation(
         raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
     count = _whole("satellites", satellites, FORMATIONS[shape], MOST_BEADS)
     graph = _graph(shape, count)
-    beads = [
-        _whole("beads_per_tether", value, 0, MOST_BEADS)
-        for value in _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
-    ]
+    spread = _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
+    beads = [_whole("beads_per_tether", value, 0, MOST_BEADS) for value in spread]
     masses = count + _EXTRA_MASSES.get(shape, 0)
     _whole("satellites and beads_per_tether together", masses + sum(beads), 1, MOST_BEADS)
     mass = _spread("satellite_mass_kg", satellite_mass_kg, {"satellite": [1] * masses}, above=0.0)

@@ -164,6 +164,8 @@ def _of_all_laws(name, arguments, contribution, zero=""):
         for law in laws:
             functions, own = contribution(law)
             names |= functions
+            if not own:  # a law whose derivatives are zero everywhere
+                continue
             lines.append(f"{INDENT}if arrays.acting & {1 << BEAD_LAWS.index(law)}:")
             lines += [2 * INDENT + line for line in own]
         return compiled_source(name, "\n".join([*lines, *more, *end]) + "\n", names)
@@ -335,6 +337,8 @@ _GRADIENT_SERIES = "arrays, r, three, nodes, from_, room, at, k"
 def _gradient_series(law):
     name = f"gradient_{law.name}"
     entries, program = _GRADIENT_PROGRAMS[law.name]
+    if not entries:
+        return {}, []
     function = program.function(name, _GRADIENT_SERIES, _LANES)
     lines = [f"d = {name}({_GRADIENT_SERIES})"]
     for i, (matrix, *place) in enumerate(entries):

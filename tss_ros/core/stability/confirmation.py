@@ -10,6 +10,7 @@ import numpy as np
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
+from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.result import FloquetResult
@@ -46,6 +47,8 @@ class Confirmation:
         centre of mass.
     switches : int
         Slack/taut switches of the disturbed motion.
+    pushing_share : float
+        Share of the time that its taut tethers push.
     turns : ndarray, shape (k,)
         Sample times in turns.
     history : ndarray, shape (k,)
@@ -59,6 +62,7 @@ class Confirmation:
     deviation_from_origin: float
     deviation_from_centre: float
     switches: int
+    pushing_share: float
     turns: np.ndarray
     history: np.ndarray
 
@@ -137,12 +141,13 @@ def confirm(
 
     def run(start):
         motion = Propagator(system, spin_rate_ratio, start, rtol=1e-12)
-        position, _ = motion.sample(times, cancelled)
+        position, velocity = motion.sample(times, cancelled)
         centre = np.einsum("i,kic->kc", weight, position)
-        return position, position - centre[:, None], motion.switches
+        return position, position - centre[:, None], velocity, motion.switches
 
-    undisturbed, calm, _ = run(state)
-    position, pushed, switches = run(disturbed(state, disturbance_m, seed))
+    undisturbed, calm, *_ = run(state)
+    position, pushed, velocity, switches = run(disturbed(state, disturbance_m, seed))
+    _, tension, taut = tether_state(system, position, velocity)
     radius = np.linalg.norm(state.position_m, axis=1)
     size = np.max(radius)
     beyond = radius > 1e-6 * size
@@ -150,7 +155,7 @@ def confirm(
     history = np.max(np.abs(distance - np.linalg.norm(calm, axis=2)), axis=1) / size
     from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
     height = np.max(np.abs(position - undisturbed)[:, :, 2]) / size
-    _, nudged, _ = run(disturbed(state, SMALL * size, seed))
+    _, nudged, *_ = run(disturbed(state, SMALL * size, seed))
     loud = np.flatnonzero(history > 0.1 * np.max(history))
     settled = loud[-1] + 1 < len(times) - SAMPLES // 2
     return Confirmation(
@@ -160,6 +165,7 @@ def confirm(
         float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
         float(from_centre),
         switches,
+        pushing_share(tension, taut),
         times / period,
         history,
     )

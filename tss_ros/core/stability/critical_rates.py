@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -28,16 +29,20 @@ class CriticalRate:
     uncertainty : float
         Half the width of the bracket, whose ends were found different.
     cause : str
-        One of `CAUSES`: "first slack" if tethers go slack on one side and on the other do not (the
-        motion may stay stable a little further), else the family that leaves the unit circle.
+        One of `CAUSES`: "first slack" if tethers go slack on one side and on the other do not, or
+        stop pulling where their law never pushes (the motion may stay stable a little further);
+        else the family that leaves the unit circle.
     stable_side : int
         +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
+    pushing_share : float
+        Share of the time that taut tethers push, on the motion at the bracket's stable end.
     """
 
     spin_rate_ratio: float
     uncertainty: float
     cause: str
     stable_side: int
+    pushing_share: float = math.nan
 
 
 def find_critical_rates(
@@ -112,6 +117,7 @@ class _Sample:
     stable: bool
     slack: bool
     cause: str
+    pushing_share: float
 
 
 def _sample_at(system, ratio, cancelled):
@@ -127,7 +133,7 @@ def _sample_at(system, ratio, cancelled):
         cause = max(leaving, key=leaving.get, default="spin")
         if not leaving or leaving[cause] <= 1.0 + result.tolerance:
             cause = "spin"
-    return _Sample(ratio, stable, result.switches > 0, cause)
+    return _Sample(ratio, stable, result.switches > 0, cause, result.pushing_share)
 
 
 def _bracket(system, a, b, tolerance, cancelled):
@@ -148,5 +154,6 @@ def _bracket(system, a, b, tolerance, cancelled):
             0.5 * (b.ratio - a.ratio),
             "first slack" if slack else worse.cause,
             1 if better is b else -1,
+            better.pushing_share,
         )
     ]
