@@ -45,7 +45,7 @@ class Confirmation:
         Largest |d_i| of Eq. (53), measured from the frame's origin and from the instantaneous
         centre of mass.
     switches : int
-        Slack/taut switches of the disturbed motion.
+        Switches of the disturbed motion, see `FloquetResult`.
     turns : ndarray, shape (k,)
         Sample times in turns.
     history : ndarray, shape (k,)
