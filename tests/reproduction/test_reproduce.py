@@ -228,7 +228,8 @@ def made_up(item):
     kind, _, name = item.partition(" ")
     if kind == "motion":
         rate = claims.MOTIONS[name].rate
-        return made_up_motion(rate < -2.17) | {"pulling": made_up_motion(rate < -2.505)}
+        pulls = made_up_motion(rate < -2.505) | {"turns": 12}
+        return made_up_motion(rate < -2.17) | {"pulling": pulls}
     simulated = {"settled": -2.16, "held": -2.14, "origin": -2.14}
     return {
         "boundaries": [[-2.171, "first slack", -1], [-2.16, "spin", -1]],

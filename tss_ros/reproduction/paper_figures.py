@@ -35,14 +35,11 @@ def _figure(width, height, wspace=0.02, recordings=()):
     figure.get_layout_engine().set(wspace=wspace)
     if recordings:
         shares = ", ".join(
-            f"{100 * pushing_share(seen.tension_n, seen.taut):.0f} %"
-            + (f" of it at {abs(seen.spin_rate_ratio):g} Ω" if len(recordings) > 1 else " of it")
+            f"{100 * pushing_share(seen.tension_n, seen.taut):.0f} % of the time"
+            f" at {abs(seen.spin_rate_ratio):g} Ω"
             for seen in recordings
         )
-        figure.suptitle(
-            f"Tether law Eq. (6), `kelvin_voigt`. Of the time taut, tethers push {shares}.",
-            fontsize=8,
-        )
+        figure.suptitle(f"Tether law: Eq. (6), kelvin_voigt. Taut ones push {shares}.", fontsize=8)
     return figure
 
 

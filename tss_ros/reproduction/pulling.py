@@ -1,6 +1,7 @@
 """Critical rates with tethers that only pull, beside how often those of Eq. (6) push."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from tss_ros.reproduction import motions
@@ -61,10 +62,24 @@ def critical_rates(
     return rows
 
 
+def instead(
+    motion: PaperMotion,
+    damping: float,
+    cancelled: Callable[[], bool],
+    tether_law: str = PULLING_LAW,
+) -> dict[str, Any]:
+    """`motions.outcome` of a motion with tethers that only pull, its turns under "turns".
+
+    Disturbed ones are followed for `SHORT` turns at least: some are lost late.
+    """
+    if motion.disturbance_m:
+        motion = replace(motion, turns=max(motion.turns, SHORT))
+    of = system(motion.scenario, damping, tether_law)
+    seen = motions.simulate(of, motion, cancelled)
+    return motions.outcome(of, motion, seen, cancelled) | {"turns": motion.turns}
+
+
 def at_claim(name: str, damping: float, cancelled: Callable[[], bool]) -> dict[str, Any]:
-    """The disturbed motion at the claimed critical rate, `motions.outcome` by tether law."""
-    found, motion = {}, PaperMotion(name, CRITICAL[name], SHORT)
-    for law in (PAPER_LAW, PULLING_LAW):
-        of = system(name, damping, law)
-        found[law] = motions.outcome(of, motion, motions.simulate(of, motion, cancelled), cancelled)
-    return found
+    """The disturbed motion at the claimed critical rate, as `instead`, by tether law."""
+    motion = PaperMotion(name, CRITICAL[name], SHORT)
+    return {law: instead(motion, damping, cancelled, law) for law in (PAPER_LAW, PULLING_LAW)}

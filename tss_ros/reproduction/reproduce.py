@@ -283,10 +283,7 @@ class Workshop:
                     disturbance_seed=claims.SEED,
                 )
             result = motions.outcome(of, motion, recording, cancelled)
-            pulls = claims.system(motion.scenario, self.damping, claims.PULLING_LAW)
-            result["pulling"] = motions.outcome(
-                pulls, motion, motions.simulate(pulls, motion, cancelled), cancelled
-            )
+            result["pulling"] = pulling.instead(motion, self.damping, cancelled)
             bag.rename(self._bag(name))
         return result
 

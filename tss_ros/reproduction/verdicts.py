@@ -21,6 +21,7 @@ HEADING = (
     "C [N s/m]",
     "verdict, Eq. (6)",
 )
+_PULLING_CAUSES = {"first slack": "tethers stop pulling", "spin": "spin unstable"}
 UNDISTURBED = {"figure_03": "Fig. 3", "figure_04": "Fig. 4"}
 WHERE = {
     "three_star": "Fig. 5",
@@ -223,7 +224,7 @@ def _pulling_critical(result, damping, name, claimed):
 def pulling_boundaries(row: dict[str, Any]) -> str:
     """The boundaries of a row of `pulling.critical_rates` in words."""
     words = [
-        f"{'tethers stop pulling' if cause == 'first slack' else cause} {found_rate(edge)}"
+        f"{_PULLING_CAUSES.get(cause, cause)} {found_rate(edge)}"
         + (" (stable below)" if side > 0 else "")
         for edge, cause, side in row["boundaries"]
     ]
@@ -232,7 +233,9 @@ def pulling_boundaries(row: dict[str, Any]) -> str:
 
 def _pulling_fate(seen, held):
     as_claimed = seen["held"] == held and not (held and math.isinf(seen["settle"]))
-    return f"{_judged(as_claimed)}: {_true_verdict(seen)}; {_outcome(seen)}"
+    return (
+        f"{_judged(as_claimed)}: {_true_verdict(seen)}; {_outcome(seen)}, in {seen['turns']} turns"
+    )
 
 
 def critical(boundaries: list[list]) -> float | None:
