@@ -1,4 +1,4 @@
-"""A general-purpose integrator on Eq. (1) as printed, to see what a loose tolerance does.
+"""A general-purpose integrator on Eq. (1), to see what a loose tolerance does.
 
 scipy's LSODA, used as one uses such a solver: SI units, orbit frame, slack and taut left to the
 step control. The forces are those of the core's laws; nothing else is shared with its integrators,

@@ -18,7 +18,7 @@ from tss_ros.reproduction.claims import (
 #: Turns for which disturbed motions are followed.
 SHORT, LONG = 12, 100
 #: Dampings tried [N s/m], besides the one identified.
-DAMPINGS = (10.0, 100.0, 3000.0)
+DAMPINGS = (10.0, 100.0, 1000.0, 3000.0)
 
 
 def critical_rates(

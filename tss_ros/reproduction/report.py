@@ -151,7 +151,8 @@ def _pulling(result, damping):
             ),
             "The table of dampings below has the rates held under Eq. (6) at the same C. What holds"
             f" for {pulling.SHORT} turns can be lost in {pulling.LONG}: below the slack limit"
-            " each turn takes energy from the spin.",
+            " tethers let go and catch, each turn takes energy from the spin, and the more the"
+            " slower it is.",
         ]
     )
 
@@ -249,7 +250,7 @@ def _mass(result, damping):
             " mass drifts along the orbit, which (53) counts as deviation. With a disturbance of"
             " 1 km the drift alone exceeds 20 % at any rate tried (–), at every mass alike; with"
             " smaller ones the two measures agree.",
-            "**Integration tolerance.** scipy's LSODA on Eq. (1) as printed, relative tolerance as"
+            "**Integration tolerance.** scipy's LSODA on Eq. (1), relative tolerance as"
             " given, absolute a thousandth of it [m, m/s]; rate beyond which it shows the motion"
             " held for 8 turns (half-width 0.025):",
             _table(("relative tolerance", *titles), loose_rows),

@@ -21,7 +21,12 @@ HEADING = (
     "C [N s/m]",
     "verdict, Eq. (6)",
 )
-_PULLING_CAUSES = {"first slack": "tethers stop pulling", "spin": "spin unstable"}
+_PULLING_CAUSES = {
+    "first slack": "tethers stop pulling",
+    "spin": "spin unstable",
+    "shape": "shape unstable",
+    "axis tilt": "axis tilt unstable",
+}
 UNDISTURBED = {"figure_03": "Fig. 3", "figure_04": "Fig. 4"}
 WHERE = {
     "three_star": "Fig. 5",
