@@ -236,6 +236,7 @@ def parameters():
         for p in entries:
             kind = kinds[p.type] + ("(s)" if p.per_element else "")
             kind += "" if p.minimum is None else f", {p.minimum:g} to {p.maximum:g}"
+            kind += f": {', '.join(f'`{choice}`' for choice in p.choices)}" if p.choices else ""
             default = "scenario's" if p.default is None else f"`{p.default!r}`"
             cells = (f"`{p.name}`", p.text, kind, default, p.applies)
             text += "| " + " | ".join(map(_cell, cells)) + " |\n"
@@ -436,7 +437,9 @@ def python_api():
         text += f"\n{group}\n{'-' * len(group)}\n\n"
         if group == "Constants":
             for name in sorted(names):
-                values = ", ".join(f"``{value!r}``" for value in getattr(core, name))
+                values = ", ".join(
+                    f"``{getattr(value, 'name', value)!r}``" for value in getattr(core, name)
+                )
                 text += f".. data:: {name}\n\n   {values}\n\n"
             continue
         text += ".. autosummary::\n   :toctree: api\n   :nosignatures:\n\n"

@@ -52,7 +52,9 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     (folder / "mine.yaml").write_text(SCENARIO)
     results = [
-        FloquetResult(spin_rate_ratio=rate, max_modulus=modulus, verdict=verdict)
+        FloquetResult(
+            spin_rate_ratio=rate, max_modulus=modulus, verdict=verdict, tether_law="tension_only"
+        )
         for rate, modulus, verdict in ((-2.0, 1.5, "unstable"), (-3.0, 1.0, "neutral"))
     ]
     recording = record(
@@ -108,7 +110,8 @@ def test_summary_tells_what_happened(run, capsys):
     assert "2 satellites, 3 beads in all, 2 tethers, 151 kg" in lines["scenario"]
     assert lines["disturbance"] == "3 m, seed 5"
     assert "0 missing in between; messages lost: 0" in lines["steps"]
-    assert lines["stability"] == "-3 Omega: neutral, max |rho| 1.000000"
+    assert lines["stability"] == "-3 Omega: neutral, max |rho| 1.000000, tension_only"
+    assert lines["tether"].startswith("law    kelvin_voigt, taut tethers push 0 % of the time")
     assert len(lines) < 20
 
 
@@ -161,11 +164,11 @@ def energy(system, t_s, position_m, velocity_m_s, length_m, taut):
     """Energy of a motion as a recording of it gives it."""
     names = ("mass_kg", "rest_length_m", "axial_stiffness_n", "damping_n_s_per_m")
     names += ("orbit_altitude_m", "orbit_rate_rad_s", "tether_ends", "is_satellite")
+    names += ("bead_name", "tether_name", "tether_law", "law_parameters")
     return Recording(
         **{name: getattr(system, name) for name in names},
         **dict.fromkeys(("scenario", "reference_radius_m", "disturbance_m", "disturbance_seed")),
         **dict.fromkeys(("publish_period_s", "deviation", "tension_n", "spin_rate_ratio", "step")),
-        **dict.fromkeys(("bead_name", "tether_name")),
         t_s=t_s,
         position_m=position_m,
         velocity_m_s=velocity_m_s,

@@ -43,6 +43,8 @@ CHANGEABLE = {
     "satellite_mass_kg": ([50, 100.0, 1e3], [0.0, -1.0, 1e12, [], ["a"], math.inf]),
     "beads_per_tether": ([0, 1, 2], [-1, 10**5, 0.5]),
     "damping_n_s_per_m": ([0, 500.0, 1450.0], [-1.0, 1e10]),
+    "tether_law": (["kelvin_voigt", "tension_only"], ["", "tension", 5, True]),
+    "j2": ([0, 1e-3], [-1.0, math.nan, "much"]),
     "scenario": (["three_star", "six_bead"], ["", "nine_star", "/dev/null", "../x.yaml", 5]),
 }
 FIXED = ("turns", "wait_for_recorder", "start_paused", "publish_clock", "frame_prefix")

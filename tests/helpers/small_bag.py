@@ -18,16 +18,25 @@ NUMBERS = np.random.default_rng(3)
 class Bag:
     """A writer with the topics that carry numbers, and messages of two beads and one tether."""
 
+    topics = ("system_description", "bead_states", "tether_states")
+
     def __init__(self, directory):
         self.writer = BagWriter(directory, "jazzy")
         self.written = []
         self._channel = {
             name: self.writer.add_topic(
-                f"/{name}", topic.type, topic.definition, topic.type_hash, topic.offered_qos
+                f"/{name}",
+                topic.type,
+                self.definition(topic),
+                topic.type_hash,
+                topic.offered_qos,
             )
             for name, topic in TOPICS.items()
-            if name in ("system_description", "bead_states", "tether_states")
+            if name in self.topics
         }
+
+    def definition(self, topic):
+        return topic.definition
 
     def describe(self, spin_rate_ratio=-2.0):
         self.write(
@@ -43,6 +52,7 @@ class Bag:
                 rest_length_m=[10.0],
                 axial_stiffness_n=[20.0],
                 damping_n_s_per_m=[30.0],
+                tether_law="kelvin_voigt",
                 orbit_altitude_m=5e5,
                 orbit_rate_rad_s=1e-3,
                 spin_rate_ratio=spin_rate_ratio,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tss_ros.core import compute_floquet
+from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, compute_floquet
 from tss_ros.runs import demo
 from tss_ros.scenarios import scenario
 
@@ -55,7 +55,9 @@ def test_readme_shows_what_the_demo_computes():
         assert " ".join(row[4:6]) == result.verdict
         assert float(row[1]) == pytest.approx(result.period_s, abs=0.06)
         assert float(row[3]) == pytest.approx(result.max_modulus_nontrivial, abs=2e-6)
-        assert float(row[6]) == pytest.approx(result.closure_residual, rel=0.05)
+        assert row[6] == result.tether_law
+        assert float(row[7].rstrip("%")) == pytest.approx(100.0 * result.pushing_share, abs=0.06)
+        assert float(row[8]) == pytest.approx(result.closure_residual, rel=0.05)
 
 
 def test_demo_output_is_cut_out_of_a_log():
@@ -170,6 +172,8 @@ def test_every_parameter_topic_and_interface_has_its_row():
     table = generate.parameters()
     for parameter in (*parameters.SIMULATOR, *parameters.STABILITY, *parameters.LOGGER):
         assert f"| `{parameter.name}` |" in table
+    assert all(f"`{law.name}`" in table and law.meaning in table for law in TETHER_LAWS)
+    assert all(f"| `{p.name}` | {p.meaning}" in table for p in LAW_PARAMETERS)
     assert all(f"| `{name}` |" in generate.topics() for name in read_topics())
     assert "`~/compute_floquet`" in generate.services() and "`~/sweep`" in generate.actions()
     offered = generate.offered("srv") + generate.offered("action")

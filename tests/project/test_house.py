@@ -70,7 +70,8 @@ def outermost(module):
 def is_compiled(node):
     """Whether a function is a kernel, whose types numba finds."""
     text = " ".join(ast.unparse(decorator) for decorator in node.decorator_list)
-    return any(word in text for word in ("njit", "kernel", "inlined", "intrinsic"))
+    words = ("njit", "kernel", "allocating", "inlined", "leaf", "intrinsic")
+    return any(word in text for word in words)
 
 
 @pytest.mark.parametrize("module", MODULES)

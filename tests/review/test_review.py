@@ -287,7 +287,13 @@ def test_a_full_disk_is_reported(recording):
 
 
 def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording, tmp_path):
-    result = FloquetResult(spin_rate_ratio=-2.25, max_modulus=1.5, verdict="unstable")
+    result = FloquetResult(
+        spin_rate_ratio=-2.25,
+        max_modulus=1.5,
+        verdict="unstable",
+        tether_law="kelvin_voigt",
+        pushing_share=0.21,
+    )
     other = dataclasses.replace(part(recording, slice(0, 7)), stability=(result,))
     review._save([recording, other], tmp_path / "x.rrd", ["long", "short"])
     temporal, static = read_back(tmp_path / "x.rrd")
@@ -295,7 +301,7 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
         tethers = temporal[f"{root}/formation/tethers"]["LineStrips3D:strips"]
         np.testing.assert_allclose(tethers, recording.position_m[:steps][:, ENDS], atol=1e-3)
     ((text,),) = static["/run_2/stability"]["TextDocument:text"]
-    assert "| -2.25 | 1.500000 | 0.000000 | unstable |" in text
+    assert "| -2.25 | 1.500000 | 0.000000 | unstable | kelvin_voigt, taut tethers push 21 %" in text
     assert "/run_1/stability" not in static
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]

@@ -7,7 +7,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tss_ros.core import TssError
+from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, TssError
 from tss_ros.ros import parameters
 
 SIMULATOR = (parameters.SIMULATOR,)
@@ -82,6 +82,14 @@ def test_ranges_include_their_ends(given, edge):
         ("wait_for_recorder", 3, "wait_for_recorder is 3; allowed: true or false"),
         ("scenario", 5, "scenario is 5; allowed: text"),
         (
+            "tether_law",
+            "tension",
+            "tether_law is 'tension'; allowed: one of kelvin_voigt, tension_only, stiffening"
+            "; did you mean 'tension_only'?",
+        ),
+        ("tether_law", 1.5, "tether_law is 1.5; allowed: one of kelvin_voigt"),
+        ("j2", -0.1, "j2 is -0.1; allowed: a number from 0 to"),
+        (
             "satelites",
             4,
             "'satelites' is not a parameter of sim_node; it has: scenario, satellites",
@@ -92,6 +100,20 @@ def test_what_does_not_fit_is_named_with_its_value_and_range(given, name, value,
     with pytest.raises(TssError) as caught:
         given(**{name: value})
     assert str(caught.value).startswith(expected)
+
+
+def test_every_parameter_of_a_law_is_one_of_the_nodes(given):
+    values = {p.name: p.maximum for p in LAW_PARAMETERS} | {"tether_law": "stiffening"}
+    read = given(**values)
+    assert {name: read[name] for name in values} == values
+    for table in (parameters.SIMULATOR, parameters.OVERRIDES):
+        declared = {p.name: p.descriptor for p in table}
+        for parameter in LAW_PARAMETERS:
+            (limits,) = declared[parameter.name].floating_point_range
+            assert (limits.from_value, limits.to_value) == (parameter.minimum, parameter.maximum)
+            assert parameter.meaning in declared[parameter.name].description
+        constraints = declared["tether_law"].additional_constraints
+        assert constraints == f"one of {', '.join(law.name for law in TETHER_LAWS)}"
 
 
 def test_parameters_of_the_other_nodes_may_stand_in_the_same_file(given):

@@ -9,13 +9,15 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from tss_interfaces.msg import SystemDescription
 
-from tss_ros.core import System, formation
+from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, System, TssError, formation
 from tss_ros.scenarios import parameters, scenario
 from tss_ros.scenarios.parameters import FORMATION, GRAPH, HEADING, SCENARIO, names
 from tss_ros.sweeps.command import main as sweep
 
 #: Of `formation`, but not for scenarios: the shape, and switches for closed-form checks.
-OTHERS = {"shape", "linear_gravity", "bilateral"}
+OTHERS = {"shape", "linear_gravity", "bilateral", "law_parameters"}
+#: Parameters that one tether law uses: the others refuse them.
+OF_LAW = {p.name: law.name for law in TETHER_LAWS for p in law.parameters}
 #: What the description of a run says of beads and segments, where it has another name.
 IN_MESSAGE = {"satellite_mass_kg": "mass_kg", "tether_length_m": "rest_length_m"}
 
@@ -23,15 +25,55 @@ IN_MESSAGE = {"satellite_mass_kg": "mass_kg", "tether_length_m": "rest_length_m"
 def test_it_has_the_parameters_and_defaults_of_a_formation():
     signature = inspect.signature(formation).parameters
     expected = {name: p.default for name, p in signature.items() if name not in OTHERS}
+    expected |= {p.name: p.default for p in LAW_PARAMETERS}
     assert {p.name: p.default for p in FORMATION} == expected
     assert names(FORMATION) == tuple(expected)
 
 
+def with_law(parameter, value):
+    """Arguments that give a parameter a value, and the tether law that uses it."""
+    law = {"tether_law": OF_LAW[parameter.name]} if parameter.name in OF_LAW else {}
+    return {**law, parameter.name: value}
+
+
 @pytest.mark.parametrize("parameter", FORMATION, ids=lambda p: p.name)
-@pytest.mark.parametrize("end", ["minimum", "maximum"])
-def test_the_core_builds_what_it_allows(parameter, end):
-    value = parameter.type(getattr(parameter, end))
-    assert formation("chain", **{parameter.name: value}).n >= 2
+def test_the_core_builds_what_it_allows(parameter):
+    ends = (parameter.minimum, parameter.maximum) if not parameter.choices else parameter.choices
+    for value in map(parameter.type, ends):
+        system = formation("chain", **with_law(parameter, value))
+        assert system.n >= 2
+        if parameter.name in system.law_parameters:
+            assert system.law_parameters[parameter.name] == value
+
+
+def test_every_parameter_of_a_law_is_one_of_scenarios_and_of_graphs():
+    for law_parameter in LAW_PARAMETERS:
+        (parameter,) = (p for p in SCENARIO if p.name == law_parameter.name)
+        assert parameter in GRAPH and parameter in parameters.VARIED
+        for name in ("meaning", "unit", "minimum", "maximum", "default", "note"):
+            assert getattr(parameter, name) == getattr(law_parameter, name)
+    (chosen,) = (p for p in SCENARIO if p.name == "tether_law")
+    assert chosen.choices == tuple(law.name for law in TETHER_LAWS)
+    assert all(f"{law.name}: {law.meaning}" in chosen.text for law in TETHER_LAWS)
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        ("tension-only", "'tension-only'; allowed: one of kelvin_voigt, tension_only, stiffening"),
+        ("kelvin", "'kelvin'"),
+        (3, "3; allowed: one of kelvin_voigt"),
+        (None, "nothing; allowed: one of kelvin_voigt"),
+    ],
+)
+def test_a_text_that_is_not_among_its_choices_is_refused_with_the_nearest(value, shown):
+    (chosen,) = (p for p in SCENARIO if p.name == "tether_law")
+    with pytest.raises(TssError) as caught:
+        chosen.check(value)
+    assert str(caught.value).startswith(f"tether_law is {shown}")
+    near = {"tension-only": "tension_only", "kelvin": "kelvin_voigt"}.get(value)
+    assert str(caught.value).endswith(f"; did you mean {near!r}?") == (near is not None)
+    assert chosen.check("tension_only") == "tension_only"
 
 
 @pytest.mark.parametrize("parameter", FORMATION, ids=lambda p: p.name)
@@ -51,6 +93,12 @@ def test_a_list_is_allowed_where_the_core_takes_one(parameter):
 def test_messages_give_the_same_quantity_in_the_same_unit(parameter):
     name = IN_MESSAGE.get(parameter.name, parameter.name)
     fields = SystemDescription.get_fields_and_field_types()
+    if name in {p.name for p in LAW_PARAMETERS}:
+        # Those have their names and values in lists of their own.
+        return
+    if name == "tether_law":
+        assert fields[name] == "string"
+        return
     if name not in fields:
         # How many there are follows from the lists of names.
         assert parameter.type is int or parameter.name == "bead_mass_kg"
@@ -79,12 +127,36 @@ def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_p
         "spin_rate_ratio: -2\n"
     )
     loaded = scenario.load(file)
-    assert names(GRAPH) == ("orbit_altitude_m", "spin_rate_ratio")
+    laws = ("tether_law", *(p.name for p in LAW_PARAMETERS))
+    assert names(GRAPH) == ("orbit_altitude_m", *laws, "spin_rate_ratio")
     assert loaded.build().orbit_altitude_m == 1e6
     assert loaded.build({"orbit_altitude_m": 400e3}).orbit_altitude_m == 400e3
+    assert loaded.build({"tether_law": "tension_only"}).tether_law == "tension_only"
+    assert loaded.build({"j2": 1e-3}).law_parameters["j2"] == 1e-3
+    file.write_text(file.read_text() + "tether_law: stiffening\nstiffening: 2.0\n")
+    built = scenario.load(file).build()
+    assert (built.tether_law, built.law_parameters["stiffening"]) == ("stiffening", 2.0)
     for name in set(names(SCENARIO)) - set(names(GRAPH)):
         with pytest.raises(ValueError, match=f"^{name} is not a parameter of scenario"):
             loaded.build({name: 1})
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("tether_law: tension_onyl", "tether_law must be one of .*'tension_only'"),
+        ("tether_law: [tension_only]", "tether_law must be one of"),
+        ("j2: much", "j2 must be a number, got 'much'"),
+        ("j2: -1.0", "j2 must be at least"),
+        ("stiffening: 2.0", "stiffening is 2, which only tether_law stiffening uses"),
+        ("tether_low: tension_only", "'tether_low' is not known.*did you mean 'tether_law'"),
+    ],
+)
+def test_a_wrong_law_in_a_file_is_named(tmp_path, line, expected):
+    file = tmp_path / "ring.yaml"
+    file.write_text(f"spin_rate_ratio: -2\n{line}\n")
+    with pytest.raises(TssError, match=expected):
+        scenario.load(file)
 
 
 def test_the_help_of_a_sweep_names_what_it_varies(capsys):
@@ -101,4 +173,4 @@ def test_tables_have_a_text_for_every_column():
         assert row["meaning"].startswith(parameter.meaning) and "[" not in row["meaning"]
         assert all(row[title] for title in ("type", "allowed", "meaning"))
         if parameter.default is not None:
-            assert float(row["default"]) == parameter.default
+            assert parameter.type(row["default"]) == parameter.default

@@ -16,7 +16,7 @@ from tss_interfaces.srv import (
     StepSimulation,
 )
 
-from tss_ros.core import Propagator, State, ring
+from tss_ros.core import LAW_PARAMETERS, Propagator, State, ring
 from tss_ros.simulator.control import Code, PlayState
 
 TIME, STATE = ResetSimulation.Request.SCOPE_TIME, ResetSimulation.Request.SCOPE_STATE
@@ -26,6 +26,7 @@ RING = ring(satellite_mass_kg=100.0)
 
 GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 10, "disturbance_seed": 3}
 CHANGED = ("spin_rate_ratio", "satellites", "satellite_mass_kg", "axial_stiffness_n")
+CHANGED += ("tether_law", "stiffening", "j2")
 
 
 @pytest.fixture(scope="module")
@@ -309,6 +310,32 @@ def test_a_restored_run_continues_bit_for_bit(paused):
     simulator.settled()
     assert [motion(m) for m in simulator.beads[-401:]] == [motion(m) for m in original]
     assert other.stop() == 0
+
+
+def test_a_snapshot_of_another_law_is_refused(paused):
+    paused.do(SaveSnapshot, file="of_law.npz")
+    for values, name in (({"tether_law": "tension_only"}, "tether_law"), ({"j2": 1e-3}, "j2")):
+        assert paused.set(**values).successful
+        paused.do(ResetSimulation)
+        code, why = paused.refused(RestoreSnapshot, file="of_law.npz")
+        assert code == Result.RESULT_OPERATION_FAILED and f"with another {name};" in why
+        assert paused.set(**dict.fromkeys(values)).successful
+    paused.do(ResetSimulation)
+    paused.do(RestoreSnapshot, file="of_law.npz")
+
+
+def test_a_law_is_chosen_while_the_simulator_runs(paused):
+    answer = paused.set(tether_law="tension_onyl")
+    assert not answer.successful and "did you mean 'tension_only'?" in answer.reason
+    answer = paused.set(stiffening=2.0)
+    assert not answer.successful and "only tether_law stiffening uses" in answer.reason
+    assert paused.set(tether_law="stiffening", stiffening=2.0, j2=1e-3).successful
+    paused.do(ResetSimulation)
+    paused.spin_until(lambda: paused.descriptions[-1].run > paused.run, 5, "the new run")
+    described = paused.descriptions[-1]
+    assert described.tether_law == "stiffening"
+    laws = dict(zip(described.law_parameter_name, described.law_parameter))
+    assert laws == {p.name: p.default for p in LAW_PARAMETERS} | {"stiffening": 2.0, "j2": 1e-3}
 
 
 def test_snapshots_that_do_not_fit_are_refused(paused):

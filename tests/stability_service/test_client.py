@@ -34,7 +34,8 @@ def ask(stability_node, capsys):
 def columns(table):
     """The cells of each row of a table, cut at the column edges of its heading."""
     heading, *rows = table.splitlines()
-    edges = [heading.index(name) for name in ("verdict", "closure", "message")]
+    names = ("verdict", "tether law", "closure", "message")
+    edges = [heading.index(name) for name in names]
     numbers = [row[: edges[0]].split() for row in rows]
     words = [[row[a:b].strip() for a, b in zip(edges, (*edges[1:], None))] for row in rows]
     return [[*n, *w] for n, w in zip(numbers, words)]
@@ -50,6 +51,10 @@ def test_table_has_a_row_for_each_rate_in_order(stability_node, tmp_path):
     for row, rate in zip(rows, (1.5, 3, 2.75)):
         assert float(row[1]) == pytest.approx(orbit_s / rate, abs=0.06)
     # Slow clockwise spin loses its plane and its tension; fast spin keeps both.
+    # Faster than 1 + sqrt(5/2) spin alone holds the tethers taut.
+    assert all(row[5].split()[0] == "kelvin_voigt" for row in rows)
+    pushed = [float(row[5].split()[1].rstrip("%")) for row in rows]
+    assert 20.0 < pushed[0] < 60.0 and pushed[1:] == [0.0, 0.0]
     assert rows[0][4] in ("unstable", "no periodic motion") and float(rows[0][2]) > 2
     assert all(row[4].endswith("stable") and float(row[3]) < 1.0001 for row in rows[1:])
 
@@ -68,6 +73,8 @@ def test_range_csv_and_plot(ask, tmp_path):
     for row, shown in zip(rows, columns(out)):
         assert float(row["max_modulus"]) == pytest.approx(float(shown[2]), abs=1e-6)
         assert row["verdict"] == shown[4]
+        assert row["tether_law"] == "kelvin_voigt"
+        assert f"{float(row['pushing_share']):.1%}" == shown[5].split()[1]
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
 
 
@@ -83,6 +90,8 @@ def test_overrides_and_method_reach_the_node(ask):
     )
     assert len({plain, heavy, frozen}) == 3
     assert each == plain
+    pulling = ask("-2.5", "--override", "tether_law=tension_only", "damping_n_s_per_m=100.0")[1]
+    assert columns(pulling)[0][5].split() == ["tension_only", "0.0%"]
     # Turns get longer with the orbit's radius to the power of 3/2.
     ratio = float(columns(heavy)[0][1]) / float(columns(plain)[0][1])
     assert ratio == pytest.approx((8.378 / 7.378) ** 1.5, rel=1e-4)
@@ -93,6 +102,8 @@ def test_overrides_and_method_reach_the_node(ask):
     [
         (["-2", "--override", "satellite_mass_kg=-1"], "satellite_mass_kg"),
         (["-2", "--override", "colour=3"], "colour"),
+        (["-2", "--override", "tether_law=tension"], "did you mean 'tension_only'?"),
+        (["-2", "--override", "stiffening=2"], "only tether_law stiffening uses"),
         (["-2", "--method", "guess"], "guess"),
     ],
 )

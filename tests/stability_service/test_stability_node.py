@@ -13,6 +13,9 @@ from scipy.optimize import brentq
 from tss_interfaces.msg import FloquetResult
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
+from tss_ros.core import Propagator, compute_floquet, tether_state
+from tss_ros.scenarios import scenario
+
 # Table 1 of the paper, worked out here and not by the package.
 ORBIT_RATE = math.sqrt(3.986e14 / 7378e3**3)
 
@@ -146,8 +149,8 @@ def test_a_simulation_confirms_the_verdicts(asked):
         assert growth == pytest.approx(result.max_modulus_nontrivial, rel=0.02)
     again = compute(asked, [-2.5], fields=fields, damping_n_s_per_m=1450.0).results[0]
     other = compute(asked, [-2.5], fields={**fields, "confirm_seed": 1}, damping_n_s_per_m=1450.0)
-    assert again.confirmation == stable.confirmation
-    assert other.results[0].confirmation != stable.confirmation
+    assert str(again.confirmation) == str(stable.confirmation)
+    assert str(other.results[0].confirmation) != str(stable.confirmation)
     frozen = compute(asked, [-2.5], "frozen", fields)
     assert "confirm_turns has no effect" in frozen.message and not frozen.results[0].confirmation
 
@@ -220,6 +223,32 @@ def test_overrides_replace_the_nodes_own_parameters(asked):
     assert remark.success and "spin_rate_ratio" in remark.message
 
 
+def test_results_name_their_law_and_how_often_taut_tethers_push(asked):
+    own = compute(asked, [-2.5, 0.0], satellite_mass_kg=100.0).results
+    pulling = compute(asked, [-3.5, 0.0], tether_law=text("tension_only")).results
+    stiffening = compute(asked, [-3.5], tether_law=text("stiffening"), stiffening=10.0).results
+    frozen = compute(asked, [-2.5], "frozen", tether_law=text("kelvin_voigt")).results
+    laws = [result.tether_law for result in (*own, *pulling, *stiffening, *frozen)]
+    assert laws == [*["kelvin_voigt"] * 2, *["tension_only"] * 2, "stiffening", "kelvin_voigt"]
+    # The same turn, integrated and counted here.
+    system = scenario.load("three_star").build()
+    state = compute_floquet(system, -2.5, certify=False).state
+    turn = Propagator(system, -2.5, state).sample(np.linspace(0.0, own[0].period_s, 2001)[:-1])
+    _, tension_n, taut = tether_state(system, *turn)
+    assert own[0].pushing_share == pytest.approx(np.sum(tension_n < 0) / np.sum(taut), abs=5e-3)
+    assert own[0].pushing_share > 0.05 and math.isnan(own[1].pushing_share)
+    assert pulling[0].pushing_share == stiffening[0].pushing_share == 0.0
+
+
+def test_critical_rates_name_their_law(asked):
+    # Tethers that only pull are let go and caught again at rates where damping holds others taut.
+    request = {"satellite_mass_kg": 100.0, "damping_n_s_per_m": 1450.0}
+    for law in ("kelvin_voigt", "tension_only"):
+        response = find(asked, -2.3, -1.9, 0.05, tether_law=text(law), **request)
+        assert response.success, response.message
+        assert all(rate.tether_law == law for rate in response.rates)
+
+
 @pytest.mark.parametrize(
     ("rate", "expected"),
     [(math.nan, "nan"), (math.inf, "inf"), (0.0, "0"), (1e9, "1e+09")],
@@ -252,6 +281,15 @@ def test_a_wrong_rate_spoils_only_its_own_result(asked, rate, expected):
         ([-2.5], "", {"satellites": integer(101)}, ("satellites", "101", "100")),
         ([-2.5], "", {"satellites": 3.0}, ("satellites", "3.0", "whole number")),
         ([-2.5], "", {"orbit_altitude_m": math.inf}, ("orbit_altitude_m", "inf", "1000000000")),
+        (
+            [-2.5],
+            "",
+            {"tether_law": text("kelvin")},
+            ("tether_law is 'kelvin'", "kelvin_voigt, tension_only", "did you mean"),
+        ),
+        ([-2.5], "", {"tether_law": 2.0}, ("tether_law is 2.0", "one of kelvin_voigt")),
+        ([-2.5], "", {"j2": -1.0}, ("j2 is -1.0", "a number from 0")),
+        ([-2.5], "", {"stiffening": 2.0}, ("only tether_law stiffening uses",)),
         ([-2.5], "", {"mass": 2.0}, ("'mass'", "satellite_mass_kg")),
         ([-2.5], "", {"scenario": text("six_bead")}, ("'scenario'", "satellites")),
     ],

@@ -151,7 +151,7 @@ def test_rows_are_what_the_core_computes_in_the_order_of_the_request(client, ano
     for row in result.rows:
         parts = [told.row for told in feedback if told.row.value == row.value]
         assert texts(r for part in parts for r in part.results) == texts(row.results)
-        assert [r for part in parts for r in part.rates] == list(row.rates)
+        assert texts(r for part in parts for r in part.rates) == texts(row.rates)
     client.spin_until(lambda: len(client.published) >= 6, 5, "the published results")
     assert texts(client.published) == texts(r for row in result.rows for r in row.results)
 
@@ -198,6 +198,21 @@ def test_a_value_that_makes_no_system_spoils_only_its_own_row(client):
     assert feedback[-1].total == 2
 
 
+def test_a_sweep_varies_the_tether_law(client):
+    laws = ["tension_only", "kelvin_voigt"]
+    status, result, feedback = client.run(
+        parameter="tether_law", text_value=laws, spin_rate_ratio=[-2.4, -2.3]
+    )
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success, result.message
+    assert [row.text_value for row in result.rows] == laws
+    assert all(math.isnan(row.value) for row in result.rows)
+    for row in result.rows:
+        assert [found.tether_law for found in row.results] == [row.text_value] * 2
+        pushes = row.text_value == "kelvin_voigt"
+        assert all((found.pushing_share > 0) == pushes for found in row.results)
+    assert {told.row.text_value for told in feedback} <= {"", *laws}
+
+
 RATES = {"spin_rate_ratio": [-2.5]}
 
 
@@ -217,6 +232,22 @@ RATES = {"spin_rate_ratio": [-2.5]}
         ({**RATES, "parameter": "satellites"}, ("'satellites'", "0 values", "both or neither")),
         ({**RATES, "value": [1.0, 2.0]}, ("parameter is ''", "2 values", "both or neither")),
         ({**RATES, "parameter": "satellites", "value": [1.0]}, ("satellites is 1", "2 to 1000")),
+        (
+            {**RATES, "parameter": "tether_law", "value": [1.0]},
+            ("'tether_law'", "text_value has 0 values", "both or neither"),
+        ),
+        (
+            {**RATES, "parameter": "satellites", "value": [3.0], "text_value": ["a"]},
+            ("'satellites'", "text_value has 1 values", "none"),
+        ),
+        (
+            {**RATES, "parameter": "tether_law", "text_value": ["tension"]},
+            ("tether_law is 'tension'", "did you mean 'tension_only'?"),
+        ),
+        (
+            {**RATES, "parameter": "tether_law", "text_value": [""]},
+            ("tether_law is ''", "one of kelvin_voigt"),
+        ),
         (
             {
                 **RATES,

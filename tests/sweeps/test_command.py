@@ -41,6 +41,34 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
         assert len(picture.convert("L").getcolors()) > 10
 
 
+def test_the_tether_law_is_varied_and_named(tmp_path):
+    done = run(
+        "three_star", "--parameter", "tether_law", "--values", "kelvin_voigt", "tension_only",
+        "--rates", "-2.4", "-2.4", "1", "--critical", "-2.22", "-2.12", "--tolerance", "0.01",
+        "--output", str(tmp_path),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == "three_star tether_law=kelvin_voigt"
+    for name in ("multipliers", "critical_rates"):
+        found = rows(tmp_path / name)
+        assert {row["tether_law"] for row in found} <= {"kelvin_voigt", "tension_only"}
+    multipliers = [row for row in rows(tmp_path / "multipliers") if row["method"] == "monodromy"]
+    assert [row["tether_law"] for row in multipliers] == ["kelvin_voigt", "tension_only"]
+    assert multipliers[0]["pushing_share"] > 0.05 and multipliers[1]["pushing_share"] == 0.0
+    assert f"pushing {multipliers[0]['pushing_share']:.1%}" in lines[1]
+    with Image.open(tmp_path / "map.png") as picture:
+        assert picture.size[0] > 1000
+
+
+def test_the_law_is_named_where_another_parameter_is_varied():
+    done = run(
+        "three_star", "--parameter", "tether_length_m", "--values", "9e3",
+        "--rates", "-2.6", "-2.6", "1", "--methods", "monodromy",
+    )  # fmt: skip
+    assert done.stdout.splitlines()[0] == "three_star tether_length_m=9000, kelvin_voigt"
+
+
 @pytest.mark.parametrize(
     "arguments, status, named",
     [
@@ -49,6 +77,11 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
         (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
         (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),
+        (("--parameter", "j2", "--values", "a", "--rates", "-3", "-2", "2"), 2, "--values of j2"),
+        (
+            ("--parameter", "tether_law", "--values", "tension", "--rates", "-3", "-2", "2"), 1,
+            "did you mean 'tension_only'?",
+        ),
         (("--critical", "-2", "-2"), 1, "must not be empty"),
         (("--critical", "-3", "-2", "--tolerance", "0"), 1, "tolerance"),
         (("--rates", "-3", "-2", "2", "--retry"), 2, "--retry needs --output"),

@@ -1,6 +1,7 @@
 """Sweeps that are kept on disk: killed, gone on with, refused, and the same wherever they ran."""
 
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -97,7 +98,9 @@ def test_tables_hold_what_the_core_computes_in_the_order_of_the_question(finishe
         np.testing.assert_array_equal(multiplier, expected.multiplier)
         np.testing.assert_array_equal(row["family"], expected.family)
         np.testing.assert_array_equal(row["position_m"], expected.state.position_m.ravel())
-        for name in ("verdict", "max_modulus", "period_s", "switches", "flow_error", "error"):
+        assert row["tether_law"] == "kelvin_voigt"
+        names = ("verdict", "max_modulus", "period_s", "switches", "flow_error", "pushing_share")
+        for name in (*names, "error"):
             np.testing.assert_equal(row[name], getattr(expected, name, None))
     assert [row["damping_n_s_per_m"] for row in rows] == [1000.0] * 6 + [1450.0] * 6
     (critical,) = pyarrow.parquet.read_table(finished / "critical_rates").to_pylist()[:1]
@@ -111,7 +114,8 @@ def test_of_many_jobs_the_motions_own_verdicts_are_counted(finished, monkeypatch
         lines = [line.split(maxsplit=1) for line in command.table(question(), store).splitlines()]
     # At -2.5 both are stable, at -1.25 tethers go slack; 0 fails, and frozen, all seem stable.
     assert lines[:2] == [["2", "asymptotically stable"], ["2", "no periodic motion"]]
-    assert all(int(count) >= 1 for count, _ in lines[2:])
+    assert all(int(count) >= 1 for count, _ in lines[2:-1])
+    assert re.fullmatch(r"law kelvin_voigt, taut tethers push .* to .* % of the time", lines[-1][1])
 
 
 @pytest.mark.parametrize("workers", [2, 3])

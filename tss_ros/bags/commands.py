@@ -15,6 +15,7 @@ import yaml
 from tss_ros import plots
 from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import TssError
+from tss_ros.scenarios.laws import law_in_words, laws_in_words
 from tss_ros.scenarios.scenario import read_text
 
 
@@ -59,6 +60,7 @@ def describe(recording: Recording) -> str:
         f"in all, {len(r.tether_name)} tethers, {r.mass_kg.sum():g} kg",
         f"orbit         {r.orbit_altitude_m / 1e3:g} km high, Omega {r.orbit_rate_rad_s:.6g} rad/s",
         f"spin          {r.spin_rate_ratio:g} Omega, one turn {r.turn_s:.1f} s",
+        f"tether law    {law_in_words(r.tether_law, r.pushing_share)}",
         f"disturbance   {r.disturbance_m:g} m, seed {r.disturbance_seed}",
         f"run           {r.run} of {r.runs} in the bag",
         f"steps         {len(r.step)}, {r.step[0]} to {r.step[-1]}, {gaps} missing in between; "
@@ -77,8 +79,13 @@ def describe(recording: Recording) -> str:
         verdict = result.verdict or result.message
         lines.append(
             f"stability     {result.spin_rate_ratio:g} Omega: {verdict}, "
-            f"max |rho| {result.max_modulus:.6f}"
+            f"max |rho| {result.max_modulus:.6f}, "
+            f"{law_in_words(result.tether_law, result.pushing_share)}"
         )
+    for law in (r.system.law, *r.system.acting_laws):
+        if law.parameters:
+            values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
+            lines.append(f"law           {law.name}: {', '.join(values)}")
     if r.versions:
         lines.append(f"simulated by  {', '.join(r.versions)}")
     return "\n".join(lines)
@@ -111,18 +118,22 @@ def _plot_options(parser):
 
 
 def _plot(r, options):
+    law = law_in_words(r.tether_law, r.pushing_share)
     figures = {
         "trajectories": plots.trajectories(
-            r.position_m, r.tether_ends, r.bead_name, r.is_satellite
+            r.position_m, r.tether_ends, r.bead_name, r.is_satellite, law=law
         ),
-        "deviation": plots.deviation(r.turns, r.deviation, r.bead_name, r.deviation_from_centre),
-        "tethers": plots.tethers(r.turns, r.length_m, r.tension_n, r.tether_name),
-        "balance": plots.balance(r.turns, r.energy_j, r.centre_of_mass_m),
+        "deviation": plots.deviation(
+            r.turns, r.deviation, r.bead_name, r.deviation_from_centre, law=law
+        ),
+        "tethers": plots.tethers(r.turns, r.length_m, r.tension_n, r.tether_name, law=law),
+        "balance": plots.balance(r.turns, r.energy_j, r.centre_of_mass_m, law=law),
     }
     if r.stability:
         columns = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
         figures["stability"] = plots.stability(
-            *([getattr(result, name) for result in r.stability] for name in columns)
+            *([getattr(result, name) for result in r.stability] for name in columns),
+            law=laws_in_words((result.tether_law, result.pushing_share) for result in r.stability),
         )
     options.output.mkdir(parents=True, exist_ok=True)
     for name, figure in figures.items():
@@ -134,7 +145,7 @@ def _plot(r, options):
 def _export_options(parser):
     kinds = parser.add_mutually_exclusive_group(required=True)
     kinds.add_argument(
-        "--csv", type=Path, metavar="FOLDER", help="tables beads, tethers and stability as CSV"
+        "--csv", type=Path, metavar="FOLDER", help="tables run, beads, tethers and stability as CSV"
     )
     kinds.add_argument("--parquet", type=Path, metavar="FOLDER", help="the same as Parquet")
     kinds.add_argument(
@@ -163,7 +174,10 @@ def _export(recording, options):
 
 
 def tables(recording: Recording) -> dict[str, pa.Table]:
-    """A recording as Arrow tables: `beads`, `tethers` (a row per step and element), `stability`.
+    """A recording as Arrow tables.
+
+    `run` says in one row what was simulated; `beads` and `tethers` have a row per step and element,
+    `stability` one per result.
 
     Parameters
     ----------
@@ -188,6 +202,7 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
         )
 
     found = {
+        "run": pa.table({name: [value] for name, value in _run_in_a_row(r).items()}),
         "beads": rows(
             "bead",
             r.bead_name,
@@ -200,9 +215,16 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
         ),
     }
     if r.stability:
-        names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict", "message")
+        names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
+        names += ("tether_law", "pushing_share", "message")
         found["stability"] = pa.table({n: [getattr(s, n) for s in r.stability] for n in names})
     return found
+
+
+def _run_in_a_row(r):
+    names = ("scenario", "orbit_altitude_m", "orbit_rate_rad_s", "spin_rate_ratio", "disturbance_m")
+    names += ("disturbance_seed", "publish_period_s", "tether_law", "pushing_share")
+    return {**{name: getattr(r, name) for name in names}, **r.system.law_parameters}
 
 
 def write_parameters(recording: Recording, folder: Path) -> None:
@@ -223,7 +245,8 @@ def write_parameters(recording: Recording, folder: Path) -> None:
     if not recording.parameters:
         raise TssError("the bag does not carry the simulator's parameters")
     folder.mkdir(parents=True, exist_ok=True)
-    parameters = dict(recording.parameters)
+    laws = {"tether_law": recording.tether_law, **recording.law_parameters}
+    parameters = {**recording.parameters, **laws}
     if not _is_unchanged(recording):
         path = folder.absolute() / "scenario.yaml"
         path.write_text(recording.scenario_yaml, encoding="utf-8")

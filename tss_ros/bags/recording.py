@@ -3,14 +3,15 @@
 import json
 import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tss_ros.bags.older import UNSAID, completed
 from tss_ros.bags.reader import STATES, BagContent, bag_files, open_complete
-from tss_ros.core import TssError, deviation
-from tss_ros.core.model.system import RADIUS_EARTH_M
+from tss_ros.core import System, TssError, deviation, elastic_energy, pushing_share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,10 @@ class Description:
     disturbance_m, publish_period_s : float
         [m], [s].
     disturbance_seed : int
+    tether_law : str
+        How taut tethers pull; the paper's law in bags that do not say.
+    law_parameters : dict of str to float
+        What the laws of forces were given; those left out have their defaults.
     parameters : dict
         The simulator's parameters; empty in bags of other recorders.
     scenario_yaml : str
@@ -57,6 +62,8 @@ class Description:
     disturbance_m: float
     publish_period_s: float
     disturbance_seed: int
+    tether_law: str = UNSAID["tether_law"]
+    law_parameters: dict = field(default_factory=dict)
     parameters: dict = field(default_factory=dict)
     scenario_yaml: str = ""
     versions: tuple = ()
@@ -74,6 +81,8 @@ class Description:
         }
         values["is_satellite"] = values["is_satellite"].astype(bool)
         values["tether_ends"] = values["tether_ends"].reshape(-1, 2).astype(int)
+        named = getattr(message, "law_parameter_name", ())
+        values["law_parameters"] = dict(zip(named, getattr(message, "law_parameter", ())))
         values["parameters"] = json.loads(getattr(message, "parameters_json", "") or "{}")
         return cls(**values)
 
@@ -124,6 +133,18 @@ class Recording(Description):
     stability: tuple = ()
     lost: int | None = None
 
+    @cached_property
+    def system(self) -> System:
+        """What was simulated; its layout is where the recording begins."""
+        names = {f.name for f in fields(System)} & {f.name for f in fields(self)}
+        known = {name: getattr(self, name) for name in names}
+        return System(**known, layout_m=self.position_m[0])
+
+    @property
+    def pushing_share(self) -> float:
+        """Share of the time that taut tethers spent pushing [-]."""
+        return pushing_share(self.tension_n, self.taut)
+
     @property
     def turns(self) -> np.ndarray:
         """Simulation time in spin turns [-], shape (k,)."""
@@ -145,19 +166,19 @@ class Recording(Description):
     def energy_j(self) -> np.ndarray:
         """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
 
-        Kinetic energy, that of gravity and centrifugal force against the frame's origin, and that
-        of the taut tethers, Eq. (3). Nothing but damping changes it.
+        Kinetic energy, that of a round Earth's gravity and of centrifugal force against the
+        frame's origin, and that of the taut tethers. Nothing but damping, drag and the Earth's
+        oblateness changes it.
         """
-        radius = RADIUS_EARTH_M + self.orbit_altitude_m
+        radius = self.system.orbit_radius_m
         y, z = self.position_m[..., 1], self.position_m[..., 2]
         # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.
         u = (2.0 * y + (self.position_m**2).sum(axis=2) / radius) / radius
         well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
         tidal = self.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
         speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
-        stretch_m = np.where(self.taut, self.length_m - self.rest_length_m, 0.0)
-        stiffness = self.axial_stiffness_n / self.rest_length_m
-        return 0.5 * ((speed2 + tidal) @ self.mass_kg + stretch_m**2 @ stiffness)
+        elastic = elastic_energy(self.system, self.position_m, self.velocity_m_s)
+        return 0.5 * (speed2 + tidal) @ self.mass_kg + elastic
 
 
 def read_bag(path: str | Path, run: int | None = None) -> Recording:
@@ -225,6 +246,6 @@ def _recording(bag, number, run_count, first_bead, beads, tethers):
         taut=column("tethers", "taut", -1).astype(bool),
         run=number,
         runs=run_count,
-        stability=tuple(message for _, message in bag.others["FloquetResult"]),
+        stability=tuple(completed(message) for _, message in bag.others["FloquetResult"]),
         lost=bag.lost,
     )

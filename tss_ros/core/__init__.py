@@ -7,8 +7,9 @@ import warnings
 
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
-from tss_ros.core.model.forces import tether_state
+from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
+from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
@@ -22,7 +23,9 @@ __all__ = [
     "CAUSES",
     "FAMILIES",
     "FORMATIONS",
+    "LAW_PARAMETERS",
     "METHODS",
+    "TETHER_LAWS",
     "VERDICTS",
     "Cancelled",
     "ConfirmationJob",
@@ -45,9 +48,11 @@ __all__ = [
     "confirm",
     "deviation",
     "disturbed",
+    "elastic_energy",
     "find_critical_rates",
     "formation",
     "initial_state",
+    "pushing_share",
     "ring",
     "sweep",
     "tether_state",

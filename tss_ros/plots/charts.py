@@ -7,7 +7,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
-from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, VERDICT_STYLES, finish, legend_below
+from tss_ros.plots.style import (
+    COLOURS,
+    DPI,
+    INK,
+    MARKERS,
+    VERDICT_STYLES,
+    finish,
+    legend_below,
+    state_law,
+)
 
 
 def stability(
@@ -16,6 +25,7 @@ def stability(
     max_modulus_nontrivial: ArrayLike,
     verdict: Sequence[str],
     method: str = "monodromy",
+    law: str = "",
 ) -> Figure:
     """Largest Floquet multiplier modulus against spin rate; markers show the verdict.
 
@@ -30,6 +40,8 @@ def stability(
         Keys of ``VERDICT_STYLES``; a rate with any other verdict (a failed one) is left out.
     method : str
         What the multipliers come from, named in the axis label.
+    law : str
+        Tether law, stated above; "" for nothing.
 
     Returns
     -------
@@ -84,6 +96,7 @@ def stability(
         f"largest multiplier modulus, max |ρ| [-]\n({method})",
     )
     legend_below(figure, axes, columns=3)
+    state_law(figure, law)
     return figure
 
 
@@ -92,6 +105,7 @@ def stability_map(
     points: tuple[np.ndarray, np.ndarray, np.ndarray],
     critical: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     labels: Sequence[str] = (),
+    law: str = "",
 ) -> Figure:
     """Verdicts and critical rates over spin rate and the values of a parameter.
 
@@ -105,6 +119,8 @@ def stability_map(
         Abscissa, spin rate over orbital rate, its uncertainty and its cause, of every critical one.
     labels : sequence of str
         Names of the abscissas 0, 1, 2, ..., if these are no numbers.
+    law : str
+        Tether law, stated above; "" for nothing.
 
     Returns
     -------
@@ -129,4 +145,5 @@ def stability_map(
         axes.set_xticks(range(len(labels)), labels, rotation=20, ha="right")
     finish(axes, parameter, "spin rate over orbital rate, ω/Ω [-]")
     legend_below(figure, axes, columns=3)
+    state_law(figure, law)
     return figure

@@ -6,11 +6,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tss_ros.plots.style import DPI, INK, MARKERS, finish, legend_below, series_style
+from tss_ros.plots.style import DPI, INK, MARKERS, finish, legend_below, series_style, state_law
 
 
 def trajectories(
-    position_m: ArrayLike, tether_ends: ArrayLike, bead_name: Sequence[str], is_satellite: ArrayLike
+    position_m: ArrayLike,
+    tether_ends: ArrayLike,
+    bead_name: Sequence[str],
+    is_satellite: ArrayLike,
+    law: str = "",
 ) -> Figure:
     """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
 
@@ -23,6 +27,8 @@ def trajectories(
     bead_name : sequence of str (n)
     is_satellite : array (n,) of bool
         Satellites have a symbol, a line style and a name; other beads are thin grey paths.
+    law : str
+        Tether law, stated above; "" for nothing. So in all figures here.
 
     Returns
     -------
@@ -75,6 +81,7 @@ def trajectories(
     finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
     finish(edge, "z, orbit normal [m]", "")
     legend_below(figure, plan, columns=5)
+    state_law(figure, law)
     return figure
 
 
@@ -83,6 +90,7 @@ def deviation(
     deviation: ArrayLike,
     bead_name: Sequence[str],
     from_centre_of_mass: ArrayLike | None = None,
+    law: str = "",
 ) -> Figure:
     """Relative deviation of the beads' distances from their undisturbed values against turns.
 
@@ -96,6 +104,7 @@ def deviation(
     from_centre_of_mass : array (k, n), optional
         The same measured from the instantaneous centre of mass [-]: whether the formation holds
         its shape, however far it drifted along the orbit.
+    law : str
 
     Returns
     -------
@@ -117,11 +126,16 @@ def deviation(
         finish(axes, "", f"deviation\n{label}")
     rows[-1].set_xlabel("turns of the formation [-]")
     legend_below(figure, rows[0], columns=min(6, len(bead_name)))
+    state_law(figure, law)
     return figure
 
 
 def tethers(
-    turns: ArrayLike, length_m: ArrayLike, tension_n: ArrayLike, tether_name: Sequence[str]
+    turns: ArrayLike,
+    length_m: ArrayLike,
+    tension_n: ArrayLike,
+    tether_name: Sequence[str],
+    law: str = "",
 ) -> Figure:
     """Lengths and tensions of all tether segments against turns.
 
@@ -131,15 +145,19 @@ def tethers(
     length_m, tension_n : array (k, m)
         [m] and [N].
     tether_name : sequence of str (m)
+    law : str
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    return _panels(turns, (("length [m]", length_m), ("tension [N]", tension_n)), tether_name)
+    panels = (("length [m]", length_m), ("tension [N]", tension_n))
+    return _panels(turns, panels, tether_name, law)
 
 
-def balance(turns: ArrayLike, energy_j: ArrayLike, centre_of_mass_m: ArrayLike) -> Figure:
+def balance(
+    turns: ArrayLike, energy_j: ArrayLike, centre_of_mass_m: ArrayLike, law: str = ""
+) -> Figure:
     """Energy and centre of mass in the orbit frame against turns.
 
     Parameters
@@ -147,18 +165,20 @@ def balance(turns: ArrayLike, energy_j: ArrayLike, centre_of_mass_m: ArrayLike) 
     turns, energy_j : array (k,)
         [-] and [J].
     centre_of_mass_m : array (k, 3)
+    law : str
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     names = ("x, against the flight direction", "y, radial, up", "z, orbit normal")
-    figure = _panels(turns, (("centre of mass [m]", centre_of_mass_m), ("energy [J]", [])), names)
+    panels = (("centre of mass [m]", centre_of_mass_m), ("energy [J]", []))
+    figure = _panels(turns, panels, names, law)
     figure.axes[1].plot(turns, energy_j, color=INK, linewidth=1.1)
     return figure
 
 
-def _panels(turns, panels, names):
+def _panels(turns, panels, names, law):
     """One axes for each (label, array (k, curves)), with a common abscissa and one legend."""
     figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
     rows = figure.subplots(len(panels), 1, sharex=True)
@@ -170,4 +190,5 @@ def _panels(turns, panels, names):
         finish(axes, "", label)
     rows[-1].set_xlabel("turns of the formation [-]")
     legend_below(figure, rows[0], columns=min(6, len(names)))
+    state_law(figure, law)
     return figure

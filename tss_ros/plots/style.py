@@ -42,6 +42,12 @@ def finish(axes: Axes, xlabel: str, ylabel: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def state_law(figure: Figure, law: str) -> None:
+    """Say above a figure under which tether law its motions are, if a text says so."""
+    if law:
+        figure.suptitle(f"tether law: {law}", color=INK, fontsize="medium")
+
+
 def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
     """One legend for the figure, of the curves in `axes`, where it covers none."""
     figure.legend(

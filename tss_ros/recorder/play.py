@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from tss_ros.bags.reader import bag_files, indexed_reader, open_complete
+from tss_ros.recorder.older import converter
 from tss_ros.ros import messages
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, message_class
@@ -38,12 +39,13 @@ class PlayNode(TssNode):
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("play")
         self._options = options
-        self._publisher, self._latched = {}, set()
+        self._publisher, self._latched, self._renew = {}, set(), {}
         for file in bag_files(options.bag):
             for channel, schema in _channels(file).values():
                 if channel.topic in self._publisher:
                     continue
                 qos = _qos(channel)
+                self._renew[channel.topic] = converter(schema)
                 self._publisher[channel.topic] = self.create_publisher(
                     message_class(schema.name), channel.topic, qos
                 )
@@ -100,7 +102,7 @@ class PlayNode(TssNode):
                     break
                 if message.log_time < self._options.start * 1e9:
                     if topic in self._latched:
-                        self._publisher[topic].publish(message.data)
+                        self._publish(topic, message.data)
                         count += 1
                     continue
                 if begun is None or message.log_time < last_ns or not self._playing.is_set():
@@ -111,13 +113,16 @@ class PlayNode(TssNode):
                 wait_s = begun[0] + simulated_s / self._options.rate - time.monotonic()
                 if wait_s > 0 and self._stopping.wait(wait_s):
                     break
-                self._publisher[topic].publish(message.data)
+                self._publish(topic, message.data)
                 count += 1
                 now = time.monotonic()
                 if now >= self._clock_due:
                     self._clock.publish(messages.clock(message.log_time))
                     self._clock_due = now + 1.0 / CLOCK_RATE_HZ
         return count
+
+    def _publish(self, topic, data):
+        self._publisher[topic].publish(self._renew[topic](data))
 
 
 def _as_published(reader):

@@ -19,9 +19,9 @@ from tss_ros.core import (
     deviation,
     disturbed,
     initial_state,
+    pushing_share,
     tether_state,
 )
-from tss_ros.core.model.forces import pushing_share
 from tss_ros.reproduction.claims import (
     DISTURBANCE_M,
     LOST,

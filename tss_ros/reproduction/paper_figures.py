@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tss_ros.bags.recording import Recording
-from tss_ros.core.model.forces import pushing_share
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -22,6 +21,7 @@ from tss_ros.plots.style import (
     finish,
     legend_below,
     series_style,
+    state_law,
 )
 
 SPIN_RATE = "clockwise spin rate |ω|/Ω [-]"
@@ -35,11 +35,10 @@ def _figure(width, height, wspace=0.02, recordings=()):
     figure.get_layout_engine().set(wspace=wspace)
     if recordings:
         shares = ", ".join(
-            f"{100 * pushing_share(seen.tension_n, seen.taut):.0f} % of the time"
-            f" at {abs(seen.spin_rate_ratio):g} Ω"
+            f"{100 * seen.pushing_share:.0f} % of the time at {abs(seen.spin_rate_ratio):g} Ω"
             for seen in recordings
         )
-        figure.suptitle(f"Tether law: Eq. (6), kelvin_voigt. Taut ones push {shares}.", fontsize=8)
+        state_law(figure, f"{recordings[0].tether_law}, taut tethers push {shares}")
     return figure
 
 

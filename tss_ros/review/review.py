@@ -20,6 +20,7 @@ from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import TssError
 from tss_ros.review import viewer
 from tss_ros.review.scene import APPLICATION, Scene, layout
+from tss_ros.scenarios.laws import law_in_words
 
 VIEW_TITLE = "Orbit frame [m], tethers blue to red with tension, thin grey when slack"
 PICTURE_SIZE, VIDEO_SIZE = (1600, 900), (1280, 720)
@@ -59,6 +60,7 @@ class LiveReview:
         first = self._scene is None
         if first:
             self._scene = Scene(self._stream, recording)
+            self._title = f"{VIEW_TITLE}; {law_in_words(recording.tether_law)}"
         self._scene.send(recording)
         if first:
             self._lay_out()
@@ -71,7 +73,7 @@ class LiveReview:
             self._lay_out()
 
     def _lay_out(self):
-        self._stream.send_blueprint(layout([self._scene], [VIEW_TITLE]))
+        self._stream.send_blueprint(layout([self._scene], [self._title]))
 
     def close(self) -> None:
         """Send what is left, within about a second, and let go of the viewer."""
@@ -96,7 +98,11 @@ def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Seq
     scenes = [Scene(stream, recording, root) for recording, root in zip(recordings, roots)]
     for scene, recording in zip(scenes, recordings):
         scene.send(recording)
-    stream.send_blueprint(layout(scenes, [VIEW_TITLE] if alone else names))
+    titles = [
+        f"{name}; {law_in_words(recording.tether_law, recording.pushing_share)}"
+        for name, recording in zip([VIEW_TITLE] if alone else names, recordings)
+    ]
+    stream.send_blueprint(layout(scenes, titles))
 
 
 def save(recording: Recording, path: str | Path, name: str) -> None:

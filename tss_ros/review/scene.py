@@ -12,6 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from tss_ros.bags.recording import Recording
+from tss_ros.scenarios.laws import law_in_words
 
 APPLICATION = "tss_ros"
 #: Seconds of wall time that one turn takes when the viewer plays a recording.
@@ -259,12 +260,13 @@ def _plot_view(scene, plot):
 
 def stability_table(results: Iterable[Any]) -> str:
     """Messages FloquetResult as a Markdown table, by rate."""
-    rows = ["| rate/Omega | max modulus | of shape and tilt | verdict |", "|---:|---:|---:|---|"]
+    rows = ["| rate/Omega | max modulus | of shape and tilt | verdict | tether law |"]
+    rows.append("|---:|---:|---:|---|---|")
     for r in sorted(results, key=lambda result: result.spin_rate_ratio):
         verdict = r.verdict or r.message
         rows.append(
             f"| {r.spin_rate_ratio:.5g} | {r.max_modulus:.6f} | {r.max_modulus_nontrivial:.6f} "
-            f"| {verdict} |"
+            f"| {verdict} | {law_in_words(r.tether_law, r.pushing_share)} |"
         )
     return "\n".join(rows)
 

@@ -98,6 +98,9 @@ def system_description(
         rest_length_m=_doubles(system.rest_length_m),
         axial_stiffness_n=_doubles(system.axial_stiffness_n),
         damping_n_s_per_m=_doubles(system.damping_n_s_per_m),
+        tether_law=system.tether_law,
+        law_parameter_name=list(system.law_parameters),
+        law_parameter=_doubles(list(system.law_parameters.values())),
         orbit_altitude_m=system.orbit_altitude_m,
         orbit_rate_rad_s=system.orbit_rate_rad_s,
         spin_rate_ratio=spin_rate_ratio,
@@ -355,22 +358,33 @@ def floquet_result(
 
 
 def failed_floquet_result(
-    spin_rate_ratio: float, spin_rate_rad_s: float, message: str
+    system: core.System, spin_rate_ratio: float, message: str
 ) -> FloquetResult:
     """The message for a rate that could not be computed: NaN wherever there is no number."""
     kinds = FloquetResult.get_fields_and_field_types()
     unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
-    known = {"spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin_rate_rad_s}
+    known = {
+        "spin_rate_ratio": spin_rate_ratio,
+        "spin_rate_rad_s": spin_rate_ratio * system.orbit_rate_rad_s,
+        "tether_law": system.tether_law,
+    }
     return FloquetResult(message=message, **{**unknown, **known})
 
 
-def critical_rate(rate: core.CriticalRate) -> CriticalRate:
-    """A core CriticalRate as a message; all fields have the same names."""
-    return _same_fields(CriticalRate, rate)
+def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
+    """A core CriticalRate of a system as a message; fields have the same names."""
+    return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
 
 
-def _same_fields(kind, value):
-    return kind(**{name: getattr(value, name) for name in kind.get_fields_and_field_types()})
+def _same_fields(kind, value, **unless_there):
+    """A message with the fields of `value`; what it does not say of pushing is NaN."""
+    others = {"pushing_share": math.nan, **unless_there}
+    return kind(
+        **{
+            name: getattr(value, name) if hasattr(value, name) else others[name]
+            for name in kind.get_fields_and_field_types()
+        }
+    )
 
 
 def _doubles(values):

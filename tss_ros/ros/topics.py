@@ -82,18 +82,8 @@ class Topic:
 
     @property
     def definition(self) -> str:
-        """The type's text and, after it, that of each type it uses: MCAP's "ros2msg" schema."""
-        texts, queue = {}, [self.type]
-        while queue:
-            name = queue.pop(0)
-            if name not in texts:
-                texts[name] = _interface_file(name, "msg").read_text(encoding="utf-8")
-                queue += _used_types(name)
-        root = texts.pop(self.type)
-        parts = [
-            f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()
-        ]
-        return "\n".join([root, *parts])
+        """The type's `definition`."""
+        return definition(self.type)
 
     @property
     def stamp_offset(self) -> int | None:
@@ -109,7 +99,7 @@ class Topic:
                 return offset
             if not (first.startswith("sequence<") and "/" in first):
                 return None
-            offset, name = offset + 4, _base_type(first)
+            offset, name = offset + 4, base_type(first)
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
@@ -179,18 +169,33 @@ def message_class(type_name: str) -> type:
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
+def definition(type_name: str) -> str:
+    """A type's text and, after it, that of each type it uses: MCAP's "ros2msg" schema."""
+    texts, queue = {}, [type_name]
+    while queue:
+        name = queue.pop(0)
+        if name not in texts:
+            texts[name] = _interface_file(name, "msg").read_text(encoding="utf-8")
+            queue += [base_type(field) for field in used_types(name).values()]
+    root = texts.pop(type_name)
+    parts = [
+        f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()
+    ]
+    return "\n".join([root, *parts])
+
+
 def _interface_file(type_name, suffix):
     package, _, name = type_name.split("/")
     return Path(get_package_share_directory(package)) / "msg" / f"{name}.{suffix}"
 
 
-def _used_types(type_name):
-    """The message types among a type's fields."""
-    fields = message_class(type_name).get_fields_and_field_types().values()
-    return [_base_type(field) for field in fields if "/" in field]
+def used_types(type_name: str) -> dict[str, str]:
+    """Names and types of a type's fields that are messages themselves, or sequences of them."""
+    fields = message_class(type_name).get_fields_and_field_types()
+    return {name: field for name, field in fields.items() if "/" in field}
 
 
-def _base_type(field):
+def base_type(field: str) -> str:
     """ "sequence<pkg/Name, 3>" or "pkg/Name[3]" or "pkg/Name" as "pkg/msg/Name"."""
     package, name = (
         field.removeprefix("sequence<").rstrip(">").split(",")[0].split("[")[0].split("/")

@@ -15,6 +15,7 @@ from tss_ros.core import TssError
 from tss_ros.review import review
 from tss_ros.runs.processes import STALL_S, record, run_command, watched_nodes
 from tss_ros.scenarios import scenario
+from tss_ros.scenarios.laws import law_in_words
 from tss_ros.stability_service import client
 
 SCENARIO, SPIN_RATE_RATIO, TURNS = "three_star", -2.5, 8
@@ -137,18 +138,30 @@ def _progress(turn_s):
 
 def _save_trajectories(recording, directory):
     plots.trajectories(
-        recording.position_m, recording.tether_ends, recording.bead_name, recording.is_satellite
+        recording.position_m,
+        recording.tether_ends,
+        recording.bead_name,
+        recording.is_satellite,
+        _law(recording),
     ).savefig(directory / "trajectories.png")
 
 
 def _save_deviation(recording, directory):
     plots.deviation(
-        recording.turns, recording.deviation, recording.bead_name, recording.deviation_from_centre
+        recording.turns,
+        recording.deviation,
+        recording.bead_name,
+        recording.deviation_from_centre,
+        _law(recording),
     ).savefig(directory / "deviation.png")
 
 
 def _save_review(recording, directory):
     review.save(recording, directory / "review.rrd", SCENARIO)
+
+
+def _law(recording):
+    return law_in_words(recording.tether_law, recording.pushing_share)
 
 
 def _summary(recording):
@@ -162,7 +175,8 @@ def _summary(recording):
         f"{recording.turns[-1]:.2f} turns in {len(recording.step)} steps, none lost.\n"
         f"Deviation from the undisturbed radius: {percent(np.abs(recording.deviation))} at most; "
         f"measured from the centre of mass {percent(from_centre)} at most, "
-        f"{percent(from_centre[last_turn])} in the last turn."
+        f"{percent(from_centre[last_turn])} in the last turn.\n"
+        f"Tether law: {_law(recording)}."
     )
 
 

@@ -10,7 +10,8 @@ import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tss_ros.core import TssError
+from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, TssError
+from tss_ros.core.errors import near_match
 
 #: Largest system, in satellites and tether beads together, that a node builds.
 MAX_BEADS = 1000
@@ -41,6 +42,8 @@ class Parameter:
         What may have a value each, given as a list instead of one value for all; "" for nothing.
     note : str
         More about it, as a clause; "" for nothing.
+    choices : tuple of str
+        All that a text may be; empty where any will do.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Parameter:
     default: object = None
     per_element: str = ""
     note: str = ""
+    choices: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -61,6 +65,8 @@ class Parameter:
     @property
     def allowed_value(self) -> str:
         """What one value may be, in words."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
         kind = _KINDS[self.type]
         if self.minimum is None:
             return kind
@@ -104,14 +110,27 @@ class Parameter:
             fits = isinstance(value, base) and not isinstance(value, bool) and math.isfinite(value)
             fits = fits and (self.minimum is None or self.minimum <= value <= self.maximum)
         else:
-            fits = isinstance(value, self.type)
+            fits = isinstance(value, self.type) and (not self.choices or value in self.choices)
         if not fits:
             shown = "nothing" if value is None else f"{value!r:.80}"
             allowed = self.allowed if name == self.name else self.allowed_value
-            raise TssError(f"{name} is {shown}; allowed: {allowed}")
+            near = near_match(value, self.choices) if isinstance(value, str) else ""
+            raise TssError(f"{name} is {shown}; allowed: {allowed}{near}")
         return self.type(value)
 
 
+#: How taut tethers pull, and the numbers that the laws of the core need besides.
+LAWS = (
+    Parameter(
+        "tether_law", str, "How taut tethers pull",
+        default=TETHER_LAWS[0].name, choices=tuple(law.name for law in TETHER_LAWS),
+        note="; ".join(f"{law.name}: {law.meaning}" for law in TETHER_LAWS),
+    ),
+    *(
+        Parameter(p.name, float, p.meaning, p.unit, p.minimum, p.maximum, p.default, note=p.note)
+        for p in LAW_PARAMETERS
+    ),
+)  # fmt: skip
 #: Parameters of a formation, with the defaults of `tss_ros.core.formation`.
 FORMATION = (
     Parameter(
@@ -154,6 +173,7 @@ FORMATION = (
         minimum=0.0, maximum=1e9, default=1.0e6,
         note="above 6378 km",
     ),
+    *LAWS,
 )  # fmt: skip
 SPIN_RATE_RATIO = Parameter(
     "spin_rate_ratio", float, "Spin rate over orbital rate in the orbit frame", "-",
@@ -163,7 +183,9 @@ SPIN_RATE_RATIO = Parameter(
 #: Parameters of a scenario.
 SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
 #: What of them a scenario has that spells out its bodies and tethers.
-GRAPH = tuple(p for p in SCENARIO if p.name in ("orbit_altitude_m", "spin_rate_ratio"))
+GRAPH = tuple(
+    p for p in SCENARIO if p in LAWS or p.name in ("orbit_altitude_m", "spin_rate_ratio")
+)
 #: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
 VARIED = FORMATION
 

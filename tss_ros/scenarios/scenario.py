@@ -6,6 +6,7 @@ any tether graph with `bodies` and `tethers`:
     description: three satellites in a line, two tethers of different length
     spin_rate_ratio: -3.0
     orbit_altitude_m: 1000000.0
+    tether_law: tension_only
     bodies:
       - {name: a, mass_kg: 100.0, position_m: [0.0, 10000.0, 0.0]}
       - {name: b, mass_kg: 50.0, position_m: [0.0, 0.0, 0.0]}
@@ -23,6 +24,7 @@ from typing import Any
 import yaml
 
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
+from tss_ros.core.errors import near_match
 from tss_ros.core.model.system import finite
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
@@ -84,12 +86,11 @@ class Scenario:
             if name not in allowed:
                 raise TssError(
                     f"{name} is not a parameter of scenario {self.name!r}; it has"
-                    f" {', '.join(allowed)}"
+                    f" {', '.join(allowed)}{near_match(name, allowed)}"
                 )
         ratio = finite("spin_rate_ratio", values.pop("spin_rate_ratio"))
         if self.formation == "graph":
-            options = {name: finite(name, value) for name, value in values.items()}
-            system = assemble(self._bodies, self._tethers, **options)
+            system = assemble(self._bodies, self._tethers, **values)
         else:
             system = formation(self.formation, **values)
         system.spin_rate_rad_s(ratio)
@@ -160,7 +161,9 @@ def _parse(name, content):
     )
     for key in content:
         if key not in known:
-            raise TssError(f"{key!r} is not known; allowed are {', '.join(known)}")
+            raise TssError(
+                f"{key!r} is not known; allowed are {', '.join(known)}{near_match(key, known)}"
+            )
     if "spin_rate_ratio" not in content:
         raise TssError("spin_rate_ratio is missing")
     parameters = {key: content[key] for key in _PARAMETERS if key in content}

@@ -161,7 +161,8 @@ class SimNode(TssNode):
         self.get_logger().info(
             f"{setup.options['scenario']}: {setup.system.is_satellite.sum()} satellites, "
             f"{setup.system.n} beads in all, {setup.system.m} tethers, "
-            f"spin {setup.spin_rate_ratio:g} Omega, one turn {setup.turn_s:.1f} s"
+            f"spin {setup.spin_rate_ratio:g} Omega, one turn {setup.turn_s:.1f} s, "
+            f"tether law {setup.system.tether_law}"
         )
 
     def _publish(self, step, sample):

@@ -101,8 +101,10 @@ class Setup:
     @property
     def identity(self) -> dict[str, np.ndarray]:
         """Everything that must be equal for a snapshot to fit, by name."""
-        names = [f.name for f in dataclasses.fields(System) if f.name != "layout_m"]
-        values = {name: np.array(getattr(self.system, name)) for name in names}
+        values = {f.name: getattr(self.system, f.name) for f in dataclasses.fields(System)}
+        del values["layout_m"]
+        values |= values.pop("law_parameters")
+        values = {name: np.array(value) for name, value in values.items()}
         values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
         values["publish_period_s"] = np.array(self.publish_period_s)
         return values

@@ -24,6 +24,8 @@ from tss_interfaces.srv import ComputeFloquet
 from tss_ros import plots
 from tss_ros.core import TssError
 from tss_ros.ros.node import USER_ERRORS
+from tss_ros.ros.parameters import OVERRIDES
+from tss_ros.scenarios.laws import laws_in_words
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
 GONE_S = 5.0
@@ -31,6 +33,8 @@ GONE_S = 5.0
 BATCH = 4
 #: What must be small for a result to be right; a jordan_error is the root of such an error.
 ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
+#: Parameters whose values are texts.
+TEXTS = {parameter.name for parameter in OVERRIDES if parameter.type is str}
 #: Headings, and formats of what `flat` makes of a result.
 TABLE = (
     ("rate/Omega", "{spin_rate_ratio:.6g}"),
@@ -38,6 +42,8 @@ TABLE = (
     ("max |rho|", "{max_modulus:.6f}"),
     ("non-trivial", "{max_modulus_nontrivial:.6f}"),
     ("verdict", "{verdict}"),
+    ("tether law", "{tether_law}"),
+    ("pushing", "{pushing_share:.1%}"),
     ("closure", "{closure_residual:.1e}"),
     ("error", "{error:.1e}"),
     ("message", "{message}"),
@@ -168,7 +174,7 @@ def format_table(
     cells = [flat(result) for result in results]
     rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
-    left = {"verdict", "message"}
+    left = {"verdict", "tether law", "message"}
     return "\n".join(
         "  ".join(
             cell.ljust(width) if heading in left else cell.rjust(width)
@@ -194,6 +200,7 @@ def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
         [result.max_modulus_nontrivial for result in results],
         [result.verdict for result in results],
         method or "monodromy",
+        laws_in_words((result.tether_law, result.pushing_share) for result in results),
     )
 
 
@@ -263,7 +270,8 @@ def _parse(arguments):
         default=[],
         type=_override,
         metavar="NAME=VALUE",
-        help="a parameter that differs from the node's, e.g. satellite_mass_kg=50 or =50,60,70",
+        help="a parameter that differs from the node's, e.g. tether_law=tension_only, "
+        "satellite_mass_kg=50 or =50,60,70",
     )
     parser.add_argument(
         "--confirm",
@@ -303,8 +311,10 @@ def _is_number(text):
 
 
 def _override(text):
-    """A parameter message from "name=1.5", "name=3" or "name=1,2.5,3"."""
+    """A parameter message from "name=1.5", "name=3", "name=1,2.5,3", or "name=word"."""
     name, _, values = text.partition("=")
+    if name in TEXTS:
+        return Parameter(name, value=values).to_parameter_msg()
     try:
         numbers = [float(value) for value in values.strip("[]").split(",")]
     except ValueError:

@@ -50,12 +50,15 @@ class VariedValue:
     Attributes
     ----------
     value : float
-        NaN if no parameter is varied.
+        NaN if no parameter is varied, or one that is a text.
+    text_value : str
+        The value of one that is a text, else "".
     message : str
         Why it makes no system; "" if it does.
     """
 
-    value: float
+    value: float = math.nan
+    text_value: str = ""
     message: str = ""
 
 
@@ -154,18 +157,11 @@ def plan_sweep(
             f"allowed: at most {MAX_WIDTH}"
         )
     overrides = parameters.read_overrides(request.overrides)
-    name = request.parameter
-    if name and name not in _VARIED:
-        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(_VARIED)}")
-    if bool(name) != bool(request.value):
-        raise TssError(
-            f"parameter is {name!r} and value has {len(request.value)} values; "
-            "allowed: both or neither"
-        )
+    name, rows = _varied(request)
     if name in overrides:
         raise TssError(f"parameter is {name!r}, also in overrides; allowed: in one of the two")
     per_row = len(rates) + search
-    plan = Plan([VariedValue(value) for value in request.value or [math.nan]])
+    plan = Plan(rows)
     if (count := len(plan.rows) * per_row) > MAX_JOBS:
         raise TssError(
             f"value, spin_rate_ratio and the interval make {count} jobs; "
@@ -176,7 +172,7 @@ def plan_sweep(
         if cancelled():
             raise Cancelled("canceled before it began")
         try:
-            varied = {name: _checked(_VARIED[name], row.value)} if name else {}
+            varied = {name: _checked(_VARIED[name], row)} if name else {}
             system = build({**overrides, **varied})
         except TssError as error:
             row.message = str(error)
@@ -196,6 +192,23 @@ def plan_sweep(
         plan.remarks += left_out(low, high)
     plan.remarks += useless(overrides)
     return plan
+
+
+def _varied(request):
+    """The parameter that a sweep varies, and a row for each of its values."""
+    name = request.parameter
+    if name and name not in _VARIED:
+        raise TssError(f"parameter is {name!r:.80}; allowed: '' or {', '.join(_VARIED)}")
+    own, other = "value", "text_value"
+    if name and _VARIED[name].type is str:
+        own, other = other, own
+    if bool(name) != bool(values := getattr(request, own)):
+        raise TssError(
+            f"parameter is {name!r} and {own} has {len(values)} values; allowed: both or neither"
+        )
+    if given := getattr(request, other):
+        raise TssError(f"parameter is {name!r} and {other} has {len(given)} values; allowed: none")
+    return name, [VariedValue(**{own: value}) for value in values] or [VariedValue()]
 
 
 def left_out(low: float, high: float) -> list[str]:
@@ -219,7 +232,9 @@ def _interval(request):
     return min(low, high), max(low, high), tolerance
 
 
-def _checked(parameter, value):
-    """A float64 as the value of a parameter, some of which are whole numbers."""
-    whole = parameter.type is int and value.is_integer()
-    return parameter.check(int(value) if whole else value)
+def _checked(parameter, row):
+    """The value of a row as that of a parameter, some of which are texts or whole numbers."""
+    if parameter.type is str:
+        return parameter.check(row.text_value)
+    whole = parameter.type is int and row.value.is_integer()
+    return parameter.check(int(row.value) if whole else row.value)

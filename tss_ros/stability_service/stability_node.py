@@ -169,7 +169,7 @@ class StabilityNode(TssNode):
         except Cancelled:
             raise
         except TssError as error:
-            return _failed(system, rate, error)
+            return messages.failed_floquet_result(system, rate, str(error))
         # Without multipliers there is no motion that a simulation could be compared with.
         if request.confirm_turns and method == "monodromy" and result.family:
             try:
@@ -205,7 +205,7 @@ class StabilityNode(TssNode):
             ),
             cancelled=self._stopping.is_set,
         )
-        response.rates = [messages.critical_rate(rate) for rate in found]
+        response.rates = [messages.critical_rate(system, rate) for rate in found]
         return requests.left_out(low, high)
 
     def _sweep(self, goal, progress, result):
@@ -220,14 +220,14 @@ class StabilityNode(TssNode):
                 raise Cancelled("canceled before it began")
             time.sleep(TURN_CHECK_S)
         log_progress = self._progress_logger()
-        result.rows = rows = [SweepRow(value=r.value, message=r.message) for r in plan.rows]
+        result.rows = rows = [_row(r, message=r.message) for r in plan.rows]
         progress.total = total = len(plan.jobs)
         pieces = [None] * total
         try:
             jobs = (job for _, job in plan.jobs)
             for index, outcome in self._outcomes(jobs, cancelled=cancelled):
                 i, job = plan.jobs[index]
-                pieces[index] = self._piece(rows[i].value, job, outcome)
+                pieces[index] = self._piece(rows[i], job, outcome)
                 progress.add(i, pieces[index])
                 log_progress(f"{progress.done} of {total} jobs done")
         except Cancelled:
@@ -238,17 +238,19 @@ class StabilityNode(TssNode):
                     _join(rows[i], piece)
         return plan.remarks
 
-    def _piece(self, value, job, outcome):
+    def _piece(self, row, job, outcome):
         """What one job adds to the row of its value."""
-        piece = SweepRow(value=value)
+        piece = _row(row)
         failed = isinstance(outcome, TssError)
         if isinstance(job, CriticalRatesJob):
             if failed:
                 piece.message = str(outcome)
             else:
-                piece.rates = [messages.critical_rate(rate) for rate in outcome]
+                piece.rates = [messages.critical_rate(job.system, rate) for rate in outcome]
         elif failed:
-            piece.results = [_failed(job.system, job.spin_rate_ratio, outcome)]
+            piece.results = [
+                messages.failed_floquet_result(job.system, job.spin_rate_ratio, str(outcome))
+            ]
         else:
             piece.results = [messages.floquet_result(outcome)]
             self._publish(piece.results[0])
@@ -299,18 +301,19 @@ class _Progress:
             done, unsent, self._unsent = self.done, self._unsent, []
         rows = {}
         for i, piece in unsent:
-            _join(rows.setdefault(i, SweepRow(value=piece.value)), piece)
+            _join(rows.setdefault(i, _row(piece)), piece)
         return done, rows.values()
+
+
+def _row(of, **fields):
+    """An empty row of the same value."""
+    return SweepRow(value=of.value, text_value=of.text_value, **fields)
 
 
 def _join(row, piece):
     row.message = row.message or piece.message
     row.results.extend(piece.results)
     row.rates.extend(piece.rates)
-
-
-def _failed(system, rate, error):
-    return messages.failed_floquet_result(rate, rate * system.orbit_rate_rad_s, str(error))
 
 
 def main() -> None:

@@ -17,9 +17,10 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import cluster
-from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, Question
+from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
 from tss_ros.sweeps.store import Store
 
 #: More rates than this are counted on the screen instead of being listed.
@@ -88,8 +89,9 @@ def table(question: Question, store: Store) -> str:
     rates, critical, simulated = (
         _by_system(question, store, name) for name in (MULTIPLIERS, CRITICAL_RATES, SIMULATIONS)
     )
-    for label in dict.fromkeys(map(question.label, range(len(question)))):
-        lines.append(label)
+    laws = {label: of.tether_law for label, (_, _, of) in zip(question.labels, question.systems)}
+    for label, law in laws.items():
+        lines.append(label if question.parameter == "tether_law" else f"{label}, {law}")
         rows = rates.get(label, [])
         frozen = {
             row["spin_rate_ratio"]: row["max_modulus"]
@@ -124,8 +126,15 @@ def _rate(row, frozen):
     beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
     return (
         f"  {ratio:9.4f}  {row['verdict']:22}  |rho| {row['max_modulus_nontrivial']:11.6f}{beside}"
-        f"  closure {row['closure_residual']:.0e}  switches {row['switches']}"
+        f"  closure {row['closure_residual']:.0e}  switches {row['switches']}{_pushing(row)}"
     )
+
+
+def _pushing(row):
+    """The share of the time that taut tethers push, where they may and it is known."""
+    share = row.get("pushing_share")
+    unknown = share is None or math.isnan(share) or row["tether_law"] in NEVER_PUSH
+    return "" if unknown else f"  pushing {share:.1%}"
 
 
 def _critical(row):
@@ -134,7 +143,7 @@ def _critical(row):
     side = "above" if row["stable_side"] > 0 else "below"
     return (
         f"  {row['spin_rate_ratio']:9.4f} +- {row['uncertainty']:.4f}  {row['cause']:18}"
-        f"  stable {side}"
+        f"  stable {side}{_pushing(row)}"
     )
 
 
@@ -147,7 +156,7 @@ def _simulation(row):
     return (
         f"{words}  |rho| {row['max_modulus_nontrivial']:9.4f}  simulated: {held},"
         f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
-        f" {row['simulated_switches']} switches: {agrees[row['agrees']]}"
+        f" {row['simulated_switches']} switches: {agrees[row['agrees']]}{_pushing(row)}"
     )
 
 
@@ -158,6 +167,15 @@ def _counts(question, store):
     for values in (verdicts, causes):
         for count in sorted(values.value_counts().to_pylist(), key=lambda c: -c["counts"]):
             yield f"  {count['counts']:9}  {count['values']}"
+    yield f"  tether law {_laws(question, store)}"
+
+
+def _laws(question, store):
+    """The laws asked about, and how often taut tethers push in the motions computed."""
+    asked = [(system.tether_law, math.nan) for _, _, system in question.systems]
+    found = _points(question, store, "tether_law", "pushing_share")
+    motions = zip(found["tether_law"].to_pylist(), found["pushing_share"].to_pylist())
+    return laws_in_words([*asked, *motions])
 
 
 def _points(question, store, *columns):
@@ -178,7 +196,8 @@ def draw(question: Question, store: Store) -> plots.Figure:
     -------
     matplotlib.figure.Figure
     """
-    place = np.array([i if math.isnan(v) else v for i, (_, v, _) in enumerate(question.systems)])
+    named = question.varies_text or not question.parameter
+    place = np.array([i if named else v for i, (_, v, _) in enumerate(question.systems)])
 
     def arrays(found, *columns):
         jobs, *values = (found[column].to_numpy() for column in ("job", *columns))
@@ -193,7 +212,8 @@ def draw(question: Question, store: Store) -> plots.Figure:
             "verdict",
         ),
         arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
-        () if question.parameter else [name for name, _, _ in question.systems],
+        [name if v is None else f"{name} {v}" for name, v, _ in question.systems] if named else (),
+        _laws(question, store),
     )
 
 
@@ -307,7 +327,7 @@ def _parse(arguments):
     parser.add_argument(
         "--parameter", default="", help=f"parameter to vary: {', '.join(names(VARIED))}"
     )
-    parser.add_argument("--values", nargs="+", type=float, default=[], metavar="VALUE")
+    parser.add_argument("--values", nargs="+", default=[], metavar="VALUE")
     parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
     parser.add_argument(
         "--scheduler", default="", metavar="ADDRESS",
@@ -321,6 +341,11 @@ def _parse(arguments):
     options = parser.parse_args(arguments)
     if bool(options.parameter) != bool(options.values):
         parser.error("--parameter and --values go together")
+    if options.parameter not in TEXTS:
+        try:
+            options.values = [float(value) for value in options.values]
+        except ValueError as error:
+            parser.error(f"--values of {options.parameter} are numbers: {error}")
     if not (options.rates or options.critical):
         parser.error("give --rates or --critical")
     if options.confirm < 0 or options.confirm and not options.critical:

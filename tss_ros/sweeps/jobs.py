@@ -1,7 +1,6 @@
 """What a sweep is asked, the jobs it consists of, and the rows of tables that they become."""
 
 import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -21,10 +20,13 @@ from tss_ros.core import (
     TssError,
 )
 from tss_ros.scenarios import scenario
+from tss_ros.scenarios.parameters import VARIED
 from tss_ros.sweeps import software
 
 #: How far beside a critical rate its two sides are looked at.
 BESIDE = 0.05
+#: Parameters that may be varied and whose values are texts.
+TEXTS = {parameter.name for parameter in VARIED if parameter.type is str}
 MULTIPLIERS, CRITICAL_RATES, SIMULATIONS = "multipliers", "critical_rates", "simulations"
 
 
@@ -106,7 +108,7 @@ class Question:
         Shipped names or files.
     parameter : str
         To be varied, given to all its elements; "" for none.
-    values : sequence of float
+    values : sequence of float or of str
     rates : (float, float, int) or None
         First and last spin rate, and how many.
     methods : sequence of str
@@ -128,7 +130,7 @@ class Question:
         self,
         scenarios: Sequence[str],
         parameter: str,
-        values: Sequence[float],
+        values: Sequence[float] | Sequence[str],
         rates: tuple[float, float, int] | None,
         methods: Sequence[str],
         interval: tuple[float, float] | None,
@@ -138,13 +140,19 @@ class Question:
         self.parameter, self.methods = parameter, methods
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
+        self.varies_text = parameter in TEXTS
         self.systems = []
         for name in scenarios:
             template = scenario.load(name)
             if parameter:
                 self.systems += [(name, v, template.build({parameter: v})) for v in values]
             else:
-                self.systems.append((name, math.nan, template.build()))
+                self.systems.append((name, None, template.build()))
+        shown = "{} {}={:g}" if parameter and not self.varies_text else "{} {}={}"
+        self.labels = [
+            shown.format(name, parameter, value) if parameter else name
+            for name, value, _ in self.systems
+        ]
         self.description = {
             **{f"scenario {name}": scenario.read_text(name) for name in scenarios},
             "scenarios": scenarios, "parameter": parameter, "values": values,
@@ -166,14 +174,13 @@ class Question:
 
     def label(self, number: int) -> str:
         """The system of a job, in words."""
-        name, value, _ = self.systems[self.system_index(number)]
-        return f"{name} {self.parameter}={value:g}" if self.parameter else name
+        return self.labels[self.system_index(number)]
 
     def job(self, number: int) -> Entry:
         """The Entry of a number."""
         index, place = self.system_index(number), number % self._jobs_per_system
         name, value, system = self.systems[index]
-        cells = {"job": number, "scenario": name}
+        cells = {"job": number, "scenario": name, "tether_law": system.tether_law}
         if self.parameter:
             cells[self.parameter] = value
         if place == len(self.ratios) * len(self.methods):
@@ -192,9 +199,9 @@ class Question:
         -------
         dict of str to dict of str to type
         """
-        about = {"job": int, "scenario": str}
+        about = {"job": int, "scenario": str, "tether_law": str}
         if self.parameter:
-            about[self.parameter] = float
+            about[self.parameter] = str if self.varies_text else float
         floquet, why = _columns(FloquetResult), {"error": str}
         simulated = {f"simulated_{name}": kind for name, kind in _columns(Confirmation).items()}
         return {

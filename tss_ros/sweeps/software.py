@@ -1,11 +1,9 @@
 """What computes a result: versions, and a digest of the core's own source."""
 
 import functools
-import hashlib
 from importlib.metadata import version
-from pathlib import Path
 
-from tss_ros import core
+from tss_ros.core.fingerprint import fingerprint
 
 
 @functools.cache
@@ -17,12 +15,8 @@ def versions() -> dict[str, str]:
     dict of str to str
         By name; "core" is a digest, so that a core that was changed in a checkout is told apart.
     """
-    digest = hashlib.sha256()
-    folder = Path(core.__file__).parent
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
     packages = ("tss_ros", "numpy", "scipy", "numba")
-    return {**{name: version(name) for name in packages}, "core": digest.hexdigest()[:12]}
+    return {**{name: version(name) for name in packages}, "core": fingerprint()[:12]}
 
 
 def differences(there: dict[str, str], here: dict[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""Forces on the beads and their derivatives, Eqs. (1)-(11) and (52): the laws summed over the graph.
+"""Forces on the beads and their derivatives, Eqs. (1)-(11) and (52): all laws summed.
 
 The kernels work in a frame that turns with the formation: it shares the orbit frame's origin and
 z axis and rotates at the spin rate omega against it. With rho the position there,

@@ -238,11 +238,7 @@ def formation(
         for value in _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
     ]
     masses = count + _EXTRA_MASSES.get(shape, 0)
-    if masses + sum(beads) > MOST_BEADS:
-        raise TssError(
-            f"satellites and beads_per_tether make {masses + sum(beads)} beads,"
-            f" at most {MOST_BEADS} are allowed"
-        )
+    _whole("satellites and beads_per_tether together", masses + sum(beads), 1, MOST_BEADS)
     mass = _spread("satellite_mass_kg", satellite_mass_kg, {"satellite": [1] * masses}, above=0.0)
     by_segment = {"tether": [b + 1 for b in beads]}
     stiffness = _spread("axial_stiffness_n", axial_stiffness_n, by_segment, above=0.0)

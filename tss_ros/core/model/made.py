@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.model.laws.contract import BeadLaw, Moving, Stretched, TetherLaw
 from tss_ros.core.numerics import simd
@@ -23,12 +24,13 @@ from tss_ros.core.numerics.expressions import (
     substitute,
     symbol,
 )
-from tss_ros.core.numerics.kernel_maker import INDENT, SeriesProgram, compiled_source, function_of
+from tss_ros.core.numerics.series_maker import SeriesProgram
 from tss_ros.core.numerics.simd import WIDTH
+from tss_ros.core.numerics.value_maker import INDENT, compiled_source, function_of
 
 _SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
 _ARRAYS = {"sqrt": np.sqrt, "exp": np.exp}
-_LANES = {name: getattr(simd, name) for name in ("load", "store", "splat", "sqrt", "exp", "WIDTH")}
+_LANES = {**_SCALARS, "load": simd.load, "store": simd.store, "splat": simd.splat}
 
 # -- symbols ---------------------------------------------------------------------------------------
 
@@ -42,11 +44,12 @@ _CONSTANT_SOURCES = {
 }
 _R, _V = (tuple(symbol(name) for name in names) for names in (("x", "y", "z"), ("vx", "vy", "vz")))
 _UP = (symbol("upx", varies=False), symbol("upy", varies=False))
-_RADIUS, _MEAN_MOTION, _TURNING = (
-    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning")
+_RADIUS, _MEAN_MOTION, _TURNING, _RATE = (
+    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning", "orbit_rate")
 )
 _ORBIT = {
-    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", **_CONSTANT_SOURCES,
+    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", _RATE: "arrays.rate",
+    **_CONSTANT_SOURCES,
 }  # fmt: skip
 
 
@@ -70,7 +73,7 @@ def tension_of(law: TetherLaw) -> Expression:
 
 def acceleration_of(law: BeadLaw, up: tuple) -> tuple[Expression, ...]:
     """Acceleration of a law as expressions of x, y, z, vx, vy, vz, with `up` as given."""
-    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING)
+    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING, _RATE)
     return tuple(law.acceleration(moving, **_own(law)))
 
 
@@ -180,7 +183,7 @@ _ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 def _bead_function(name, outputs):
     inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
-    return {name: simd.inlined(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
+    return {name: simd.leaf(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
 
 
 def _acceleration(law):
@@ -195,6 +198,8 @@ def _jacobian(law):
         entries = _entries(law, _LEVEL_UP, by)
         if not entries:
             continue
+        if matrix == "by_v" and not law.by_velocity:
+            raise ValueError(f"bead law {law.name!r} depends on the velocity: say by_velocity=True")
         name = f"{matrix}_{law.name}"
         functions |= _bead_function(name, entries.values())
         lines.append(f"d = {name}({_BEAD_VALUE})")
@@ -253,7 +258,7 @@ def _tether_series():
     for i, program in enumerate(_TETHER_PROGRAMS):
         name = f"tether_series_{i}"
         program.lie(0, TETHER_SLOTS)
-        functions[name] = simd.inlined(program.function(name, _TETHER_SERIES, _LANES))
+        functions[name] = simd.leaf(program.function(name, _TETHER_SERIES, _LANES))
         pieces.append([f"result = {name}({_TETHER_SERIES})"])
     return simd.inlined(
         _choice("tether_series", _TETHER_SERIES, pieces, "arrays.tension == {}", functions)
@@ -299,7 +304,7 @@ def _bead_series(law):
     name = f"series_{law.name}"
     function = _BEAD_PROGRAMS[law.name].function(name, _BEAD_SERIES, _LANES)
     lines = [f"dx, dy, dz = {name}({_BEAD_SERIES})", _ADD]
-    return {name: simd.inlined(function)}, lines
+    return {name: simd.leaf(function)}, lines
 
 
 #: Coefficient k of the acceleration of a block of beads by all acting laws; fills the slots.
@@ -337,7 +342,7 @@ def _gradient_series(law):
         for p, q in sorted(_mirrored(law, tuple(place))):
             where = f"{matrix}, to + {(3 * p + q) * WIDTH}"
             lines.append(f"store({where}, load({where}) + {value})")
-    return {name: simd.inlined(function)}, lines
+    return {name: simd.leaf(function)}, lines
 
 
 #: Adds coefficient k of a block's Jacobians, (3, 3, W) from `to` on, by all acting laws.

@@ -178,6 +178,11 @@ class System:
         """The laws that act on the beads."""
         return tuple(law for law, acts in zip(BEAD_LAWS, self.acting) if acts)
 
+    @property
+    def keeps_plane(self) -> bool:
+        """Whether motions in the orbit plane stay there."""
+        return all(law.keeps_plane for law in self.acting_laws)
+
     def _store(self, name, values, size, dtype=float, **bounds):
         array = np.array(values, dtype=dtype)
         if array.shape != (size,):

@@ -4,7 +4,6 @@ Two kinds of steps take turns; `step_control` says which is next, and how long i
 """
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import stretch, tensions
 from tss_ros.core.model.frames import to_orbit_frame
@@ -27,7 +26,7 @@ from tss_ros.core.motion.step_control import (
     StepSettings,
 )
 from tss_ros.core.numerics.radau_tables import Tables
-from tss_ros.core.numerics.simd import WIDTH
+from tss_ros.core.numerics.simd import WIDTH, allocating
 
 #: Outcomes of `advance`.
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
@@ -84,7 +83,7 @@ def begin(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _sample(arrays, tables, motion, samples):
     """Write the states at all requested times up to now, in the orbit frame."""
     at = motion.progress[0]
@@ -103,7 +102,7 @@ def _sample(arrays, tables, motion, samples):
         at.sampled += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     """Integrate until a time, or until so many steps or switches were made.
 
@@ -129,10 +128,8 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     implicit = step.implicit_room(arrays, symbolic, tables)
     # Taken out of their tuples once, since each time would count references to them.
     taut, sums, excess, growth = motion.taut, implicit.v, implicit.excess, implicit.growth
-    tethers = arrays.rest.size
     made, most_switches, iterations = 0, at.switches + switches, at.newton_iterations
-    # Not plain True, a type of its own that everything would be compiled for once more.
-    follows, both = at.steps >= 0, settings.kind == BOTH
+    follows, both = at.steps >= 0, settings.kind == BOTH  # Not plain True: another type.
     cost = COST_VARIED if columns > 0 else COST
     if both and n > FEW_BEADS and columns > 0:
         both, at.next_kind = False, IMPLICIT
@@ -152,9 +149,9 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
             h, natural, which = step.implicit_step(
                 arrays, symbolic, tables, settings, motion, implicit, stop, follows
             )
-        follows = h > 0.0
         if h == REJECTED:
             continue
+        follows = h > 0.0
         if h == AT_ONCE:
             if toggle(arrays, motion, which, ON_EDGE, excess, growth) == 0:
                 return STEP_TOO_SMALL
@@ -179,9 +176,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
         if which >= 0:
             toggle(arrays, motion, which, ON_EDGE, excess, growth)
             fastest, dissipation = step_control.taut_rates(arrays, taut, sums)
-            which %= tethers
-            ringing = step_control.ringing_rate(arrays, which) if taut[which] else 0.0
-            step_control.after_switch(at, natural, ringing)
+            step_control.after_switch(at, natural, step_control.ringing_rate(arrays, taut, which))
             if both:
                 step_control.start_anew(at)
         if at.sampled < samples.times.size:

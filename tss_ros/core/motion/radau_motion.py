@@ -5,15 +5,26 @@ matrices lambda^2 I - lambda B - A of 3x3 blocks, one real and p complex ones, A
 derivatives of the acceleration by position and velocity.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import acceleration
 from tss_ros.core.numerics.block_lu import factor, solve, solve_columns
+from tss_ros.core.numerics.lane_arrays import complex_lanes, in_lanes
 from tss_ros.core.numerics.loops import add
-from tss_ros.core.numerics.simd import kernel
+from tss_ros.core.numerics.simd import (
+    WIDTH,
+    allocating,
+    fabs,
+    inlined,
+    kernel,
+    load,
+    splat,
+    worse,
+    worst,
+)
 
 
 class ImplicitStep(NamedTuple):
@@ -42,44 +53,59 @@ class ImplicitStep(NamedTuple):
 class Newton(NamedTuple):
     """Room for Newton's iteration.
 
+    Stages lie side by side in G blocks of lanes, as do, in g blocks, the systems that the stages
+    decouple into: see `Tables`.
+
     Attributes
     ----------
-    real, complex : ndarray, shape (blocks, 3, 3) and (p, blocks, 3, 3)
-        Factored matrices for the real eigenvalue of the method and the p complex ones.
+    matrix : ndarray, shape (g, blocks, 3, 3, 2, W)
+        Factored matrices for the eigenvalues of the method.
+    real : ndarray, shape (blocks, 3, 3)
+        The one for the real eigenvalue once more.
     by_r, by_v : ndarray, shape (entries, 3, 3)
         Jacobian blocks A and B that the matrices are made of.
-    v, r : ndarray, shape (n, 3)
-        Velocity and position at a stage.
-    residual : ndarray, shape (stages, n, 3)
-    change, complex_change : ndarray, shape (n, 3) and (p, n, 3)
+    dv, dr : ndarray, shape (G, n, 3, W)
+        Increments of velocity and position at the stages.
+    v, r, residual : ndarray, shape (G, n, 3, W)
+        Velocities and positions there, and how far they are from the collocation equations.
+    change : ndarray, shape (g, n, 3, 2, W)
         Corrections in the coordinates in which the stages decouple.
+    error_v, error_r : ndarray, shape (n, 3)
+        Room for the error estimate.
     """
 
+    matrix: np.ndarray
     real: np.ndarray
-    complex: np.ndarray
     by_r: np.ndarray
     by_v: np.ndarray
+    dv: np.ndarray
+    dr: np.ndarray
     v: np.ndarray
     r: np.ndarray
     residual: np.ndarray
     change: np.ndarray
-    complex_change: np.ndarray
+    error_v: np.ndarray
+    error_r: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def blank(symbolic, tables, beads):
     """A `Newton`."""
-    entries, pairs = symbolic.row.size, tables.value.size
+    blocks, entries, systems = symbolic.blocks, symbolic.row.size, tables.value.shape[0]
+    stages = (tables.nodes.size // WIDTH, beads, 3, WIDTH)
     return Newton(
-        np.empty((symbolic.blocks, 3, 3)),
-        np.empty((pairs, symbolic.blocks, 3, 3), dtype=np.complex128),
+        np.empty((systems, blocks, 3, 3, 2, WIDTH)),
+        np.empty((blocks, 3, 3)),
         np.empty((entries, 3, 3)),
         np.empty((entries, 3, 3)),
+        np.zeros(stages),
+        np.empty(stages),
+        np.empty(stages),
+        np.empty(stages),
+        np.empty(stages),
+        np.empty((systems, beads, 3, 2, WIDTH)),
         np.empty((beads, 3)),
         np.empty((beads, 3)),
-        np.empty((tables.stages, beads, 3)),
-        np.empty((beads, 3)),
-        np.empty((pairs, beads, 3), dtype=np.complex128),
     )
 
 
@@ -98,45 +124,34 @@ def multiply(symbolic, blocks, x, y):
 def newton_matrices(symbolic, tables, size, newton):
     """Assemble and factor lambda^2 I - lambda B - A for every eigenvalue lambda of the method."""
     n, entries = symbolic.order.size, symbolic.row.size
-    by_r, by_v, real = newton.by_r, newton.by_v, newton.real
-    lam = tables.real_value / size
-    real[:] = 0.0
-    newton.complex[:] = 0.0
-    for e in range(entries):
-        for p in range(3):
-            for q in range(3):
-                real[e, p, q] = -lam * by_v[e, p, q] - by_r[e, p, q]
-    for i in range(n):
-        for p in range(3):
-            real[i, p, p] += lam * lam
-    factor(symbolic, real)
-    for w in range(newton.complex.shape[0]):
-        mu, matrix = tables.value[w] / size, newton.complex[w]
+    by_r, by_v, real, value = newton.by_r, newton.by_v, newton.real, tables.value
+    zero = complex_lanes(splat(0.0), splat(0.0))
+    for g in range(value.shape[0]):
+        matrix = in_lanes(newton.matrix, g)
+        first = load(value, 2 * WIDTH * g), load(value, 2 * WIDTH * g + WIDTH)
+        lam = (1.0 / size) * complex_lanes(first[0], first[1])
+        negative, square = -1.0 * lam, lam * lam
         for e in range(entries):
             for p in range(3):
                 for q in range(3):
-                    matrix[e, p, q] = -mu * by_v[e, p, q] - by_r[e, p, q]
+                    matrix[e, p, q] = negative * by_v[e, p, q] - by_r[e, p, q]
         for i in range(n):
             for p in range(3):
-                matrix[i, p, p] += mu * mu
+                matrix[i, p, p] += square
+        for e in range(entries, symbolic.blocks):
+            for p in range(3):
+                for q in range(3):
+                    matrix[e, p, q] = zero
         factor(symbolic, matrix)
-
-
-@kernel
-def _integrate_velocities(tables, step):
-    """Increments of position at every stage, from r' = v, Eq. (31)."""
-    for j in range(tables.stages):
-        for i in range(step.v.shape[0]):
+    for e in range(symbolic.blocks):
+        for p in range(3):
             for q in range(3):
-                total = tables.c[j] * step.v[i, q]
-                for k in range(tables.stages):
-                    total += tables.a[j, k] * step.dv[k, i, q]
-                step.dr[j, i, q] = step.size * total
+                real[e, p, q] = newton.matrix[0, e, p, q, 0, 0]
 
 
 @kernel
 def solve_stages(arrays, symbolic, tables, settings, step, newton):
-    """Solve the stage equations by simplified Newton iteration from the guess in `step.dv`.
+    """Solve the stage equations by simplified Newton iteration from the guess in `newton.dv`.
 
     Parameters
     ----------
@@ -151,113 +166,160 @@ def solve_stages(arrays, symbolic, tables, settings, step, newton):
     int
         The number of iterations, negative if they did not converge.
     """
-    before = np.inf
+    before = last = np.inf
     for iteration in range(1, 16):
-        _integrate_velocities(tables, step)
+        _place_stages(tables, step, newton)
         _stage_residuals(arrays, tables, step, newton)
         _solve_decoupled(symbolic, tables, step.size, newton)
-        size = _apply_correction(tables, step, newton) / settings.speed
+        size = _apply_correction(tables, newton) / settings.speed
         if not size < 1e3:
             return -iteration
-        ratio = size / before
-        if size <= settings.accuracy and (ratio < 0.9 or size < 1e-2 * settings.accuracy):
+        # Corrections may shrink by turns only, so that two of them tell the pace.
+        pace = math.sqrt(size / before) if iteration > 2 else size / last
+        if size <= settings.accuracy and (pace < 0.9 or size < 1e-2 * settings.accuracy):
             if iteration > 1 or size < 1e-3 * settings.accuracy:
                 break
-        elif iteration > 2 and ratio > 0.5 and size < 1e-12:
-            break
-        elif iteration > 3 and ratio > 0.8:
+        elif iteration > 3 and pace > 0.7:
+            if size < 1e-12:
+                break
             return -iteration
-        before = size
+        before, last = last, size
     else:
         return -15
-    _integrate_velocities(tables, step)
+    _place_stages(tables, step, newton)
+    for j in range(tables.stages):
+        for i in range(step.v.shape[0]):
+            for q in range(3):
+                step.dv[j, i, q] = newton.dv[j // WIDTH, i, q, j % WIDTH]
+                step.dr[j, i, q] = newton.dr[j // WIDTH, i, q, j % WIDTH]
     return iteration
+
+
+@inlined
+def _product(matrix, g, x, i, q):
+    """Block g of lanes of the product of a number at each stage with a matrix of `Tables`."""
+    width, total = matrix.shape[1], splat(0.0)
+    for block in range(x.shape[0]):
+        for k in range(WIDTH):
+            row = (WIDTH * block + k) * width
+            total += load(matrix, row + WIDTH * g) * x[block, i, q, k]
+    return total
+
+
+@kernel
+def _place_stages(tables, step, newton):
+    """Increments of position at every stage, from r' = v, Eq. (31), and the states there."""
+    for g in range(newton.dv.shape[0]):
+        dv, dr = in_lanes(newton.dv, g), in_lanes(newton.dr, g)
+        v, r, share = in_lanes(newton.v, g), in_lanes(newton.r, g), load(tables.nodes, WIDTH * g)
+        for i in range(step.v.shape[0]):
+            for q in range(3):
+                total = share * step.v[i, q] + _product(tables.integral, g, newton.dv, i, q)
+                total *= step.size
+                dr[i, q] = total
+                r[i, q] = step.r[i, q] + total
+                v[i, q] = step.v[i, q] + dv[i, q]
 
 
 @kernel
 def _stage_residuals(arrays, tables, step, newton):
     """How far the increments are from the collocation equations, at every stage."""
-    v, r, residual = newton.v, newton.r, newton.residual
-    for j in range(tables.stages):
-        for i in range(r.shape[0]):
+    for g in range(newton.dv.shape[0]):
+        v, r, residual = (
+            in_lanes(newton.v, g), in_lanes(newton.r, g), in_lanes(newton.residual, g)
+        )
+        times = step.time + step.size * load(tables.nodes, WIDTH * g)
+        acceleration(arrays, step.taut, times, v, r, residual)
+        for i in range(step.v.shape[0]):
             for q in range(3):
-                r[i, q] = step.r[i, q] + step.dr[j, i, q]
-                v[i, q] = step.v[i, q] + step.dv[j, i, q]
-        acceleration(arrays, step.taut, step.time + tables.c[j] * step.size, v, r, residual[j])
-        for k in range(tables.stages):
-            weight = tables.a_inverse[j, k] / step.size
-            for i in range(r.shape[0]):
-                for q in range(3):
-                    residual[j, i, q] -= weight * step.dv[k, i, q]
+                total = _product(tables.derivative, g, newton.dv, i, q)
+                residual[i, q] -= (1.0 / step.size) * total
 
 
 @kernel
 def _solve_decoupled(symbolic, tables, size, newton):
-    """Corrections in the coordinates in which the stages decouple, one real and p complex."""
-    residual, change = newton.residual, newton.change
-    lam = tables.real_value / size
-    for i in range(change.shape[0]):
-        for q in range(3):
-            total = 0.0
-            for j in range(tables.stages):
-                total += tables.real_left[j] * residual[j, i, q]
-            change[i, q] = lam * total
-    solve(symbolic, newton.real, change)
-    for w in range(tables.value.size):
-        mu, complex_change = tables.value[w] / size, newton.complex_change[w]
-        for i in range(change.shape[0]):
+    """Corrections in the coordinates in which the stages decouple."""
+    residual, left = newton.residual, tables.left
+    for g in range(newton.change.shape[0]):
+        change = in_lanes(newton.change, g)
+        for i in range(residual.shape[1]):
             for q in range(3):
-                total_c = 0.0j
-                for j in range(tables.stages):
-                    total_c += tables.left[w, j] * residual[j, i, q]
-                complex_change[i, q] = mu * total_c
-        solve(symbolic, newton.complex[w], complex_change)
+                real = imag = splat(0.0)
+                for block in range(residual.shape[0]):
+                    for k in range(WIDTH):
+                        row = 2 * WIDTH * (g * left.shape[1] + WIDTH * block + k)
+                        x = residual[block, i, q, k]
+                        real += load(left, row) * x
+                        imag += load(left, row + WIDTH) * x
+                change[i, q] = (1.0 / size) * complex_lanes(real, imag)
+        solve(symbolic, in_lanes(newton.matrix, g), change)
 
 
 @kernel
-def _apply_correction(tables, step, newton):
+def _apply_correction(tables, newton):
     """Correct the velocity increments; returns the largest change [m/s]."""
-    size = 0.0
-    for j in range(tables.stages):
-        for i in range(step.v.shape[0]):
+    change, width, most = newton.change, tables.nodes.size, splat(0.0)
+    for g in range(newton.dv.shape[0]):
+        dv = in_lanes(newton.dv, g)
+        for i in range(change.shape[1]):
             for q in range(3):
-                d = tables.real_right[j] * newton.change[i, q]
-                for w in range(tables.value.size):
-                    value, right = newton.complex_change[w, i, q], tables.right[w, j]
-                    d += 2.0 * (value.real * right.real - value.imag * right.imag)
-                step.dv[j, i, q] += d
-                size = max(size, abs(d))
-    return size
+                total = splat(0.0)
+                for block in range(change.shape[0]):
+                    for part in range(2):
+                        for k in range(WIDTH):
+                            row = ((2 * block + part) * WIDTH + k) * width
+                            weight = load(tables.right, row + WIDTH * g)
+                            total += weight * change[block, i, q, part, k]
+                dv[i, q] += total
+                most = worse(most, fabs(total))
+    return worst(most)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel
 def error_estimate(symbolic, tables, settings, step, newton, acceleration_at_start):
     """Largest scaled local error, from the embedded formula filtered by the Jacobian."""
-    n = step.v.shape[0]
-    b_v, b_r = acceleration_at_start.copy(), step.v.copy()
-    for j in range(tables.stages):
-        weight = tables.error[j] / step.size
-        for i in range(n):
-            for p in range(3):
-                b_v[i, p] += weight * step.dv[j, i, p]
-                b_r[i, p] += weight * step.dr[j, i, p]
-    return filtered_error(
-        symbolic, tables, settings, step.size, newton, b_v.reshape(n, 3, 1), b_r.reshape(n, 3, 1)
-    )
+    b_v, b_r, by_r = newton.error_v, newton.error_r, newton.by_r
+    lam, share = tables.value[0, 0, 0] / step.size, 1.0 / step.size
+    for i in range(b_v.shape[0]):
+        for p in range(3):
+            total_v = total_r = 0.0
+            for j in range(tables.stages):
+                total_v += tables.error[j] * step.dv[j, i, p]
+                total_r += tables.error[j] * step.dr[j, i, p]
+            b_v[i, p] = lam * (acceleration_at_start[i, p] + share * total_v)
+            b_r[i, p] = step.v[i, p] + share * total_r
+    for e in range(symbolic.row.size):
+        row, column = symbolic.row[e], symbolic.column[e]
+        x, y, z = b_r[column, 0], b_r[column, 1], b_r[column, 2]
+        for p in range(3):
+            b_v[row, p] += by_r[e, p, 0] * x + by_r[e, p, 1] * y + by_r[e, p, 2] * z
+    solve(symbolic, newton.real, b_v)
+    largest_error = 0.0
+    for i in range(b_v.shape[0]):
+        for p in range(3):
+            scaled = _scaled(settings, lam, b_v[i, p], b_r[i, p])
+            largest_error = max(largest_error, scaled)
+    return largest_error
 
 
 @kernel
 def filtered_error(symbolic, tables, settings, size, newton, b_v, b_r):
-    """The same from the formula's sums of velocities and positions (n,3,k); b_v is overwritten."""
-    lam = tables.real_value / size
+    """The same of variations, from the formula's sums (n,3,k); b_v is overwritten."""
+    lam = tables.value[0, 0, 0] / size
     for i in range(b_v.shape[0]):
         add(b_v[i], lam - 1.0, b_v[i])
     multiply(symbolic, newton.by_r, b_r, b_v)
     solve_columns(symbolic, newton.real, b_v)
-    largest = 0.0
+    largest_error = 0.0
     for i in range(b_v.shape[0]):
         for p in range(3):
             for c in range(b_v.shape[2]):
-                largest = max(largest, abs(b_v[i, p, c]) / settings.speed)
-                largest = max(largest, abs(b_v[i, p, c] + b_r[i, p, c]) / (lam * settings.length))
-    return largest
+                scaled = _scaled(settings, lam, b_v[i, p, c], b_r[i, p, c])
+                largest_error = max(largest_error, scaled)
+    return largest_error
+
+
+@inlined
+def _scaled(settings, lam, error_v, b_r):
+    """Scaled error of a velocity and its position."""
+    return max(abs(error_v) / settings.speed, abs(error_v + b_r) / (lam * settings.length))

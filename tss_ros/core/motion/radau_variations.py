@@ -3,12 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.radau_motion import filtered_error, multiply
 from tss_ros.core.numerics.block_lu import factor_wide, solve_wide
 from tss_ros.core.numerics.loops import add
+from tss_ros.core.numerics.simd import allocating, allocating_contracted
 
 #: Axes whose variations are coupled: all of them, or, along a motion that stays in the orbit plane,
 #: those in the plane and the one out of it apart.
@@ -29,7 +29,7 @@ class StageJacobians(NamedTuple):
     by_v: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@allocating_contracted
 def _stage_jacobians(arrays, symbolic, tables, step):
     """`StageJacobians` of a step."""
     shape = (tables.stages, symbolic.row.size, 3, 3)
@@ -45,7 +45,7 @@ def _stage_jacobians(arrays, symbolic, tables, step):
     return stages
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _planar(step):
     """Whether a step stays in the orbit plane exactly."""
     for i in range(step.r.shape[0]):
@@ -57,7 +57,7 @@ def _planar(step):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@allocating_contracted
 def _solve_stages(symbolic, tables, h, axes, stages, x_v, x_r, zx):
     """Stage increments of the variations along some axes: one linear system for all stages.
 
@@ -105,7 +105,7 @@ def _solve_stages(symbolic, tables, h, axes, stages, x_v, x_r, zx):
                 zx[i, j, axes[p]] = right[i, j * a + p]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@allocating_contracted
 def vary(arrays, symbolic, tables, settings, step, newton, x_v, x_r):
     """Carry variations over a step along the stages just found, Eq. (12).
 

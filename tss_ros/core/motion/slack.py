@@ -21,6 +21,7 @@ from tss_ros.core.numerics.simd import (
     fabs,
     inlined,
     kernel,
+    leaf,
     load,
     number,
     smaller,
@@ -34,7 +35,7 @@ ORDER = TETHER_SLOTS * WIDTH
 SHORTER = 2
 
 
-@inlined
+@leaf
 def _sign(pushes, taut, idle, at_rest):
     """What a guard is multiplied with so that it is positive in the mode; 0 if it ends no mode."""
     if pushes:

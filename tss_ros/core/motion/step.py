@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tss_ros.core.model.forces import acceleration, jacobian, stretch
 from tss_ros.core.model.frames import (
@@ -24,8 +23,9 @@ from tss_ros.core.motion.step_control import (
     SMALLEST_BEFORE_SWITCH,
     TOO_SMALL,
 )
-from tss_ros.core.numerics.loops import add
-from tss_ros.core.numerics.simd import WIDTH, kernel, load, store
+from tss_ros.core.numerics.lane_arrays import in_lanes
+from tss_ros.core.numerics.loops import add, sum_of
+from tss_ros.core.numerics.simd import WIDTH, allocating, inlined, kernel, load, splat, store
 
 #: Most attempts to end a step on a switch.
 MOST_ATTEMPTS = 6
@@ -54,8 +54,8 @@ class ImplicitRoom(NamedTuple):
     Attributes
     ----------
     newton : radau_motion.Newton
-    dv, dr, old : ndarray, shape (stages, n, 3)
-        Increments of the step, and the velocities' of the one before.
+    dv, dr : ndarray, shape (stages, n, 3)
+        Increments of the step.
     v, r : ndarray, shape (n, 3)
         A trial state.
     excess, growth : ndarray, shape (m,)
@@ -65,14 +65,13 @@ class ImplicitRoom(NamedTuple):
     newton: radau_motion.Newton
     dv: np.ndarray
     dr: np.ndarray
-    old: np.ndarray
     v: np.ndarray
     r: np.ndarray
     excess: np.ndarray
     growth: np.ndarray
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def explicit_room(arrays, order, columns):
     """An `ExplicitRoom` for so many columns of variations."""
     n, m = arrays.inv_mass.size, arrays.rest.size
@@ -84,13 +83,12 @@ def explicit_room(arrays, order, columns):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def implicit_room(arrays, symbolic, tables):
     """An `ImplicitRoom`."""
     s, n, m = tables.stages, arrays.inv_mass.size, arrays.rest.size
     return ImplicitRoom(
         radau_motion.blank(symbolic, tables, n),
-        np.zeros((s, n, 3)),
         np.zeros((s, n, 3)),
         np.zeros((s, n, 3)),
         np.empty((n, 3)),
@@ -111,16 +109,23 @@ def interpolate(tables, increments, fraction, out):
         add(out, weight, increments[j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _guess(tables, old, offset, scale, base, dv):
-    """Fill `dv` with the polynomial of `old` at offset + scale c_j, less its value at `base`."""
-    start = np.zeros(dv.shape[1:])
-    if base != 0.0:
-        interpolate(tables, old, base, start)
-    for j in range(tables.stages):
-        dv[j] = 0.0
-        add(dv[j], -1.0, start)
-        interpolate(tables, old, offset + scale * tables.c[j], dv[j])
+@kernel
+def _guess(tables, old, offset, scale, base, newton):
+    """Fill `newton.dv` with the polynomial of `old` at offset + scale c_j, less that at `base`."""
+    s = tables.stages
+    for g in range(newton.dv.shape[0]):
+        dv = in_lanes(newton.dv, g)
+        fractions = offset + scale * load(tables.nodes, WIDTH * g)
+        for k in range(s):
+            there, here = splat(0.0), 0.0
+            for i in range(s, -1, -1):
+                there = there * fractions + tables.power[i, k + 1]
+                here = here * base + tables.power[i, k + 1]
+            weight = there - here
+            for i in range(old.shape[1]):
+                for q in range(3):
+                    term = weight * old[k, i, q]
+                    dv[i, q] = term if k == 0 else dv[i, q] + term
 
 
 @kernel
@@ -182,7 +187,7 @@ def explicit_step(arrays, settings, motion, room, stop):
     return h, natural, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follows):
     """One step by Radau collocation, up to the first switch.
 
@@ -193,7 +198,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     stop : float
         [s] time not to step over.
     follows : bool
-        The last attempt was a step, so that its polynomial is a good guess.
+        Only failed attempts came after the last step, so that its polynomial is a good guess.
 
     Returns
     -------
@@ -219,6 +224,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     if not error <= settings.tolerance:
         step_control.error_too_large(at, full, error, growth)
         return REJECTED, full, -1
+    step_control.newton_succeeded(at, full, iterations)
     fraction, which, h = 2.0, -1, full
     if not arrays.bilateral:
         fraction, which = first_switch(arrays, tables, step, motion.idle)
@@ -243,13 +249,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
             step_control.error_too_large(at, h, error, scaled)
             return REJECTED, h, -1
         growth = min(growth, scaled * h / full)
-    motion.start_v[:] = motion.v
-    motion.start_r[:] = motion.r
-    motion.dv[:] = step.dv
-    motion.dr[:] = step.dr
-    add(motion.v, 1.0, step.dv[s - 1])
-    add(motion.r, 1.0, step.dr[s - 1])
-    at.newton_limit = min(step_control.NEWTON_RELIEF * at.newton_limit, step_control.ANY_STEP)
+    _advance(motion, step, s)
     if which >= 0 or not last:
         at.implicit_size = full * min(
             max(growth, step_control.LEAST_GROWTH), step_control.MOST_GROWTH
@@ -257,23 +257,40 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     return h, full, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
+def _advance(motion, step, stages):
+    """Move on to the end of a step, and keep how it went."""
+    v, r, start_v, start_r, dv, dr = (
+        motion.v, motion.r, motion.start_v, motion.start_r, motion.dv, motion.dr
+    )
+    for i in range(r.shape[0]):
+        for q in range(3):
+            start_v[i, q], start_r[i, q] = v[i, q], r[i, q]
+            for j in range(stages):
+                dv[j, i, q], dr[j, i, q] = step.dv[j, i, q], step.dr[j, i, q]
+            v[i, q] += step.dv[stages - 1, i, q]
+            r[i, q] += step.dr[stages - 1, i, q]
+
+
+@kernel
 def _prepare(arrays, symbolic, tables, motion, room, step, follows):
     """Guess the increments of a step, and factor its Newton matrices there."""
-    at, v, r, middle = motion.progress[0], room.v, room.r, tables.stages // 2
-    step.dv[:] = 0.0
+    at, v, r, newton = motion.progress[0], room.v, room.r, room.newton
+    middle = tables.stages // 2
     if at.step_size > 0.0 and follows and at.last_kind == IMPLICIT:
-        _guess(tables, motion.dv, 1.0, step.size / at.step_size, 1.0, step.dv)
-    v[:] = step.v
-    r[:] = step.r
-    add(v, 1.0, step.dv[middle])
-    add(r, tables.c[middle] * step.size, v)
-    time, newton = step.time + tables.c[middle] * step.size, room.newton
+        _guess(tables, motion.dv, 1.0, step.size / at.step_size, 1.0, newton)
+    else:
+        newton.dv[:] = 0.0
+    for i in range(r.shape[0]):
+        for q in range(3):
+            v[i, q] = step.v[i, q] + newton.dv[middle // WIDTH, i, q, middle % WIDTH]
+            r[i, q] = step.r[i, q] + tables.c[middle] * step.size * v[i, q]
+    time = step.time + tables.c[middle] * step.size
     jacobian(arrays, symbolic.pair, step.taut, time, v, r, newton.by_r, newton.by_v)
     newton_matrices(symbolic, tables, step.size, newton)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fraction):
     """Make a step once more so that it ends where a tether switches, near a fraction of it.
 
@@ -287,8 +304,7 @@ def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fracti
             target = h - room.excess[which] / room.growth[which]
         if not 0.0 < target <= full * (1.0 + 1e-9) or target < SMALLEST_BEFORE_SWITCH * full:
             break
-        room.old[:] = step.dv
-        _guess(tables, room.old, 0.0, target / h, 0.0, step.dv)
+        _guess(tables, step.dv, 0.0, target / h, 0.0, room.newton)
         h = target
         shorter = ImplicitStep(step.time, h, step.taut, step.v, step.r, step.dv, step.dr)
         newton_matrices(symbolic, tables, h, room.newton)
@@ -298,10 +314,8 @@ def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fracti
             return h, target, -total
         if which >= tethers:  # The force is continuous there, so that once is near enough.
             break
-        v[:] = step.v
-        r[:] = step.r
-        add(v, 1.0, step.dv[s - 1])
-        add(r, 1.0, step.dr[s - 1])
+        sum_of(step.v, step.dv[s - 1], v)
+        sum_of(step.r, step.dr[s - 1], r)
         stretch(arrays, v, r, room.excess, room.growth)
         miss = abs(room.excess[which])
         if miss <= 4e-15 * arrays.rest[which] or miss <= 1e-15 * full * abs(room.growth[which]):

@@ -29,6 +29,8 @@ SAFETY, LEAST_GROWTH, MOST_GROWTH = 0.85, 0.1, 8.0
 #: Of a step whose Newton iteration failed or whose error is infinite, the next one; and the bound
 #: that steps then keep to for a while, and how it is lifted with every step that succeeds.
 AFTER_FAILURE, NEWTON_BOUND, NEWTON_RELIEF = 0.4, 0.6, 1.2
+#: Newton iterations beyond which longer steps do not pay: they would soon fail.
+MANY_ITERATIONS = 8.0
 #: Of a step in which a switch could not be located, the next one.
 AFTER_LOST_SWITCH = 0.5
 #: After a switch, the next implicit step: share of the one that led to it, and most it may be in
@@ -39,7 +41,7 @@ FIRST_IMPLICIT = 6.0
 
 #: Explicit steps that one implicit step costs, and each of its Newton iterations, of the motion
 #: alone and with variations; those of more beads than this are always carried implicitly.
-COST, COST_VARIED, FEW_BEADS = (3.0, 1.7), (3.5, 0.2), 8
+COST, COST_VARIED, FEW_BEADS = (1.6, 0.35), (3.3, 0.06), 8
 #: Share of the longest step an explicit method can bear at the fastest rate, `StepSettings.bound`
 #: over it, from which on a step counts as bounded by that rate alone.
 BOUNDED = 0.75
@@ -104,6 +106,14 @@ def newton_failed(at, size):
 
 
 @kernel
+def newton_succeeded(at, size, iterations):
+    """Lift the bound of Newton's iteration, or keep it where that takes long."""
+    at.newton_limit = min(NEWTON_RELIEF * at.newton_limit, ANY_STEP)
+    if iterations > MANY_ITERATIONS:
+        at.newton_limit = min(at.newton_limit, size * MANY_ITERATIONS / iterations)
+
+
+@kernel
 def error_too_large(at, size, error, growth):
     """Note that a step of this size has too large an error."""
     at.rejected += 1
@@ -164,11 +174,14 @@ def choose_kind(at, rate, bound, natural, price):
 
 
 @kernel
-def ringing_rate(arrays, which):
-    """Bound [1/s] of the rates at which one taut tether alone swings or decays."""
-    i, j = arrays.ends[which, 0], arrays.ends[which, 1]
+def ringing_rate(arrays, taut, guard):
+    """Bound [1/s] of the rates at which the tether of a guard swings or decays; 0 if not taut."""
+    k = guard % arrays.rest.size
+    if not taut[k]:
+        return 0.0
+    i, j = arrays.ends[k, 0], arrays.ends[k, 1]
     weight = arrays.inv_mass[i] + arrays.inv_mass[j]
-    return arrays.damping[which] * weight + math.sqrt(arrays.stiffness[which] * weight)
+    return arrays.damping[k] * weight + math.sqrt(arrays.stiffness[k] * weight)
 
 
 @kernel

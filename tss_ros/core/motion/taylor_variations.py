@@ -23,6 +23,7 @@ from tss_ros.core.numerics.simd import (
     kernel,
     lane,
     larger,
+    leaf,
     load,
     load3,
     number,
@@ -30,7 +31,6 @@ from tss_ros.core.numerics.simd import (
     store,
     store3,
 )
-
 
 #: What a coefficient of a Jacobian may do within a step, relatively, and still be left out.
 NEGLIGIBLE = 1e-17
@@ -138,18 +138,14 @@ def _bead(arrays, varied, first, bead, k):
     store3(x, now + 2 * row, weight * ax, weight * ay, weight * az)
 
 
-@inlined
-def _apply(matrix, entry, x, y, z):
+@leaf
+def _apply(matrix, one, x, y, z):
     """A matrix, whose entries lie `WIDTH` apart, times a vector of lanes."""
-    w = WIDTH
+    w, two, last = WIDTH, one + 3 * WIDTH, one + 6 * WIDTH
     return (
-        number(matrix, entry) * x + number(matrix, entry + w) * y + number(matrix, entry + 2 * w) * z,
-        number(matrix, entry + 3 * w) * x
-        + number(matrix, entry + 4 * w) * y
-        + number(matrix, entry + 5 * w) * z,
-        number(matrix, entry + 6 * w) * x
-        + number(matrix, entry + 7 * w) * y
-        + number(matrix, entry + 8 * w) * z,
+        number(matrix, one) * x + number(matrix, one + w) * y + number(matrix, one + 2 * w) * z,
+        number(matrix, two) * x + number(matrix, two + w) * y + number(matrix, two + 2 * w) * z,
+        number(matrix, last) * x + number(matrix, last + w) * y + number(matrix, last + 2 * w) * z,
     )
 
 
@@ -250,7 +246,7 @@ def _bead_gradients(arrays, series, block, step, varied):
     varied.terms[0, block], varied.terms[1, block] = terms, terms_v
 
 
-@inlined
+@leaf
 def _largest_lane(x):
     return max(max(lane(x, 0), lane(x, 1)), max(lane(x, 2), lane(x, 3)))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tss_ros.core.numerics.loops import add
-from tss_ros.core.numerics.simd import inlined, kernel
+from tss_ros.core.numerics.simd import allocating, kernel
 
 
 class Symbolic(NamedTuple):
@@ -103,7 +103,7 @@ def analyse(beads: int, ends: np.ndarray) -> Symbolic:
     )
 
 
-@inlined
+@njit(inline="always")  # For lanes and for numbers, whose kernels allocate.
 def _substitute(symbolic, factored, b, room, subtract_product, apply):
     """Forward and backward substitution in place, for right-hand sides of any kind."""
     for k in range(symbolic.order.size):
@@ -198,7 +198,7 @@ def solve_columns(symbolic, factored, b):
     _substitute(symbolic, factored, b, 0, _subtract_product3, _apply_to_columns3)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def factor_wide(symbolic, matrix):
     """`factor` for blocks of any width.
 
@@ -222,7 +222,7 @@ def factor_wide(symbolic, matrix):
                 _subtract_product(out, low, matrix[symbolic.upper[q]], room)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def solve_wide(symbolic, factored, b):
     """`solve_columns` for blocks of any width.
 
@@ -271,13 +271,13 @@ def _apply_to_columns3(inverse, y, _):
             y[row, c] = inverse[row, 0] * y0 + inverse[row, 1] * y1 + inverse[row, 2] * y2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _subtract_product(out, a, b, room):
     np.dot(a, b, room)
     add(out, -1.0, room)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _apply(inverse, y, room):
     np.dot(inverse, y, room)
     y[:] = room

@@ -1,8 +1,8 @@
 """Expressions: formulas as graphs, with their derivatives.
 
-A formula is written once with + - * / and powers. `kernel_maker` turns it, and what is derived from
-it here, into compiled code. Equal expressions are equal objects, and simple ones of the same value
-(x x and x^2, a/b/b and a/b^2) are the same expression.
+A formula is written once with + - * / and powers. `value_maker` and `series_maker` turn it, and
+what is derived from it here, into compiled code. Equal expressions are the same object, and so are
+simple ones of the same value (x x and x^2, a/b/b and a/b^2).
 """
 
 from __future__ import annotations
@@ -161,9 +161,12 @@ def multiply(*values: Any) -> Expression:
 def power(value: Any, exponent: float) -> Expression:
     """A power with a number as exponent; (x^a)^b is taken for x^(a b), as for positive x."""
     number, terms = _parts(value)
+    whole = float(exponent).is_integer()
     if not terms:
+        if number < 0.0 and not whole:
+            raise ValueError(f"there is no ({number:g})^{exponent:g}")
         return _sum(number**exponent, {})
-    if number == 0.0 and len(terms) == 1:
+    if number == 0.0 and len(terms) == 1 and (whole or terms[0][1] > 0.0):
         base, factor = terms[0]
         if factor != 1.0:
             return multiply(factor**exponent, power(base, exponent))

@@ -12,3 +12,11 @@ def add(y, weight, x):
     for i in range(y.shape[0]):
         for j in range(y.shape[1]):
             y[i, j] += weight * x[i, j]
+
+
+@kernel
+def sum_of(x, y, out):
+    """Write x + y for arrays of two dimensions."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = x[i, j] + y[i, j]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from tss_ros.core.numerics.bernstein import from_monomials
+from tss_ros.core.numerics.simd import WIDTH
 
 
 class Tables(NamedTuple):
@@ -23,14 +24,17 @@ class Tables(NamedTuple):
         Nodes.
     a, a_inverse : ndarray, shape (s, s)
         Runge-Kutta matrix and its inverse.
-    real_value : float
-        The real eigenvalue of `a_inverse`.
-    value : ndarray, shape (p,), complex
-        Its eigenvalues with positive imaginary part.
-    real_left, left : ndarray, shape (s,) and (p, s)
-        Their rows of the inverse eigenvector matrix.
-    real_right, right : ndarray, shape (s,) and (p, s)
-        Their columns of the eigenvector matrix.
+    nodes : ndarray, shape (S,)
+        Nodes once more, 0 after the last one: stages side by side in lanes, S a multiple of W.
+    integral, derivative : ndarray, shape (S, S)
+        Transposes of `a` and `a_inverse`, with rows and columns of 0 alike.
+    value : ndarray, shape (g, 2, W)
+        Eigenvalues of `a_inverse`, real and imaginary parts, side by side in g blocks of lanes: the
+        real one first, the p with positive imaginary part, the real one again where lanes are idle.
+    left : ndarray, shape (g, S, 2, W)
+        Their rows of the inverse eigenvector matrix, times them; 0 in idle lanes.
+    right : ndarray, shape (g, 2, W, S)
+        Columns of the eigenvector matrix so that its product is the sum over all lanes.
     error : ndarray, shape (s,)
         Weights of the stage increments in the error estimate.
     power : ndarray, shape (s + 1, s + 1)
@@ -43,11 +47,11 @@ class Tables(NamedTuple):
     c: np.ndarray
     a: np.ndarray
     a_inverse: np.ndarray
-    real_value: float
+    nodes: np.ndarray
+    integral: np.ndarray
+    derivative: np.ndarray
     value: np.ndarray
-    real_left: np.ndarray
     left: np.ndarray
-    real_right: np.ndarray
     right: np.ndarray
     error: np.ndarray
     power: np.ndarray
@@ -85,6 +89,10 @@ def radau(stages: int) -> Tables:
     upper = np.flatnonzero(value.imag > 1e-8 * abs(value))
     upper = upper[np.argsort(value[upper].imag)]
     phase = right[0, real] / abs(right[0, real])
+    left[real], right[:, real] = (left[real] * phase).real, (right[:, real] / phase).real
+    chosen = [real, *upper]
+    values, lefts, rights = _side_by_side(value[chosen], left[chosen], right[:, chosen].T)
+    idle = (0, -stages % WIDTH)
 
     # The embedded formula adds f(x0) with weight 1 / real_value so that it has order s.
     powers = np.vander(c, stages, increasing=True).T
@@ -100,15 +108,34 @@ def radau(stages: int) -> Tables:
         c=c,
         a=a,
         a_inverse=a_inverse,
-        real_value=value[real].real,
-        value=value[upper].copy(),
-        real_left=(left[real] * phase).real.copy(),
-        left=left[upper].copy(),
-        real_right=(right[:, real] / phase).real.copy(),
-        right=right[:, upper].T.copy(),
+        nodes=np.pad(c, idle),
+        integral=np.pad(a, (idle, idle)).T.copy(),
+        derivative=np.pad(a_inverse, (idle, idle)).T.copy(),
+        value=values,
+        left=lefts,
+        right=rights,
         error=error,
         power=monomial,
         bernstein=from_monomials(stages) @ monomial,
+    )
+
+
+def _side_by_side(value, left, right):
+    """`Tables.value`, `left` and `right` from eigenvalues (k,), the real one first, and vectors."""
+    count, stages = left.shape
+    lanes, size = count + -count % WIDTH, stages + -stages % WIDTH
+    values = np.full(lanes, value[0].real, dtype=complex)
+    lefts, rights = np.zeros((size, lanes), dtype=complex), np.zeros((lanes, size), dtype=complex)
+    values[:count] = value
+    lefts[:stages, :count] = (value[:, None] * left).T
+    # The real vector counts once, a conjugate pair twice: x + conj(x) is 2 Re x.
+    rights[:count, :stages] = 2.0 * right.conj()
+    rights[0] *= 0.5
+    values, lefts, rights = (np.stack([x.real, x.imag]) for x in (values, lefts, rights))
+    return (
+        values.reshape(2, -1, WIDTH).transpose(1, 0, 2).copy(),
+        lefts.reshape(2, size, -1, WIDTH).transpose(2, 1, 0, 3).copy(),
+        rights.reshape(2, -1, WIDTH, size).transpose(1, 0, 2, 3).copy(),
     )
 
 

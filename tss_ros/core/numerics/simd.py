@@ -4,33 +4,62 @@ Three beads, or three tethers, take little longer this way than one. LLVM vector
 where many turns of them follow each other; the recurrences of Taylor series have few.
 """
 
+from __future__ import annotations
+
+import math
 import operator
+from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
+from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+
+from tss_ros.core.fingerprint import fingerprint
+
+
+def _cached(**options):
+    """A decorator like `njit` whose cache holds for as long as nothing in the core has changed.
+
+    Numba itself looks only at the file of the function, not at what is inlined into it.
+    """
+
+    def decorate(function):
+        dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        return dispatcher
+
+    return decorate
+
 
 #: Decorates kernels that allocate nothing, nor do those they call. Counting references to their
 #: arrays, which numba does otherwise, takes as long as a short kernel itself.
-kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
+kernel = _cached(fastmath={"contract"}, _nrt=False)
 
 #: The same for made kernels, which have no file for numba's cache; those that call them have.
 uncached = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
 
 #: Decorates kernels that allocate.
-allocating = njit(cache=True, nogil=True, error_model="numpy")
+allocating = _cached()
+#: The same where products may be added without rounding in between.
+allocating_contracted = _cached(fastmath={"contract"})
 
 #: Decorates small pieces of kernels that take whole tuples of arrays: to pass those takes longer
 #: than their work.
 inlined = njit(inline="always")
 
+#: The same for pieces without such tuples. These are compiled by themselves, which takes less time,
+#: and then inlined by LLVM.
+leaf = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)
+
 WIDTH = 4
-_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+#: LLVM's type of a register.
+VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _OPERATORS = {
     operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv",
-    operator.iadd: "fadd", operator.isub: "fsub", operator.imul: "fmul",
+    operator.iadd: "fadd", operator.isub: "fsub", operator.imul: "fmul", operator.itruediv: "fdiv",
 }  # fmt: skip
 
 
@@ -40,6 +69,14 @@ class Lanes(types.Type):
     def __init__(self):
         super().__init__("Lanes")
 
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
+        """Numbers become lanes where a variable may be either."""
+        return Conversion.safe if other == types.float64 else None
+
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
+        """The type of a variable that may be either."""
+        return self if other == types.float64 else None
+
 
 LANES = Lanes()
 
@@ -47,19 +84,25 @@ LANES = Lanes()
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, VECTOR)
 
 
 def _place(context, builder, kind, array, index):
     data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), VECTOR.as_pointer())
 
 
-def _spread(builder, x):
+def spread(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
+    """Instructions that put a number into all lanes."""
     first = ir.Constant(ir.IntType(32), 0)
-    vector = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), x, first)
+    vector = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), x, first)
     everywhere = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
     return builder.shuffle_vector(vector, vector, everywhere)
+
+
+@lower_cast(types.float64, Lanes)
+def _from_number(context, builder, kind, lanes, x):
+    return spread(builder, x)
 
 
 @intrinsic
@@ -94,13 +137,13 @@ def number(_, array, index):
     return types.float64(array, types.intp), code
 
 
-@inlined
+@leaf
 def load3(array, index):
     """Three lots of lanes that follow each other: x, y and z."""
     return load(array, index), load(array, index + WIDTH), load(array, index + 2 * WIDTH)
 
 
-@inlined
+@leaf
 def store3(array, index, x, y, z):
     """Write three lots of lanes that follow each other."""
     store(array, index, x)
@@ -121,12 +164,12 @@ def lane(_, x, index):
 @intrinsic
 def splat(_, x):
     """A number in all lanes."""
-    return LANES(types.float64), lambda context, builder, sig, args: _spread(builder, args[0])
+    return LANES(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
 
 
 def _by_llvm(name, count):
     def code(context, builder, sig, args):
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * count)
+        kind = ir.FunctionType(VECTOR, [VECTOR] * count)
         full = f"llvm.{name}.v{WIDTH}f64"
         return builder.call(cgutils.get_or_insert_function(builder.module, kind, full), args)
 
@@ -134,15 +177,21 @@ def _by_llvm(name, count):
 
 
 @intrinsic
-def sqrt(_, x):
-    """Square roots."""
-    return _by_llvm("sqrt", 1)
+def worse(_, x, y):
+    """The larger one of each two errors, NaN being the worst."""
+    return _by_llvm("maximum", 2)
 
 
 @intrinsic
-def exp(_, x):
-    """Exponential functions."""
-    return _by_llvm("exp", 1)
+def worst(_, x):
+    """The largest error of all lanes, NaN being the worst."""
+
+    def code(context, builder, sig, args):
+        kind = ir.FunctionType(ir.DoubleType(), [VECTOR])
+        full = f"llvm.vector.reduce.fmaximum.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, full), args)
+
+    return types.float64(LANES), code
 
 
 @intrinsic
@@ -168,7 +217,7 @@ def only_where(_, mask, x):
     """x where the mask is above 0, and 0 elsewhere, whatever x is there."""
 
     def code(context, builder, sig, args):
-        zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
+        zero = ir.Constant(VECTOR, [0.0] * WIDTH)
         return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], zero)
 
     return LANES(LANES, LANES), code
@@ -182,7 +231,7 @@ def _define(function, instruction):
         ]
 
     def code(context, builder, sig, args):
-        args = [x if kind == LANES else _spread(builder, x) for kind, x in zip(sig.args, args)]
+        args = [x if kind == LANES else spread(builder, x) for kind, x in zip(sig.args, args)]
         return getattr(builder, instruction)(*args)
 
     infer_global(function)(Signatures)
@@ -190,12 +239,32 @@ def _define(function, instruction):
         lower_builtin(function, *case.args)(code)
 
 
-class _Negative(ConcreteTemplate):
-    cases = [signature(LANES, LANES)]
-
-
-infer_global(operator.neg)(_Negative)
-lower_builtin(operator.neg, LANES)(lambda context, builder, sig, args: builder.fneg(args[0]))
-
 for _function, _instruction in _OPERATORS.items():
     _define(_function, _instruction)
+
+
+def _define_unary(function, code):
+    case = signature(LANES, LANES)
+    infer_global(function)(type("Signatures", (ConcreteTemplate,), {"cases": [case]}))
+    lower_builtin(function, LANES)(code)
+
+
+def _lane_by_lane(function):
+    case = signature(types.float64, types.float64)
+
+    def code(context, builder, sig, args):
+        value, number = ir.Constant(VECTOR, ir.Undefined), context.get_function(function, case)
+        for i in range(WIDTH):
+            at = ir.Constant(ir.IntType(32), i)
+            one = number(builder, [builder.extract_element(args[0], at)])
+            value = builder.insert_element(value, one, at)
+        return value
+
+    return code
+
+
+_define_unary(operator.neg, lambda context, builder, sig, args: builder.fneg(args[0]))
+_define_unary(math.sqrt, _by_llvm("sqrt", 1)[1])
+_define_unary(math.sin, _lane_by_lane(math.sin))
+_define_unary(math.cos, _lane_by_lane(math.cos))
+_define_unary(math.exp, _lane_by_lane(math.exp))

@@ -134,14 +134,15 @@ def _free_directions(arrays, place, time, axes):
 
 
 def _tension(arrays, r, v, change, rate):
-    """Tension (count, m) of every tether to first order in changes of r and v, Eq. (6)."""
+    """Tension (count, m) of every tether to first order in changes of r and v."""
     first, second = arrays.ends.T
     e, w, by_r, by_v = (x[:, first] - x[:, second] for x in (r, v, change, rate))
     length = np.linalg.norm(e, axis=2)
     growth = np.sum(e * w, axis=2) / length
     longer = np.sum(e * by_r, axis=2) / length
     faster = (np.sum(e * by_v + w * by_r, axis=2) - growth * longer) / length
-    return arrays.stiffness * (length - arrays.rest + longer) + arrays.damping * (growth + faster)
+    tension, slope = forces.tension_and_slopes(arrays, length, growth)
+    return tension + slope * longer + arrays.damping * faster
 
 
 def _equations(arrays, symbolic, time, slope, r, v, tension, axes):

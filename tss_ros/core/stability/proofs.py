@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.shooting import Turn, integrate_turn
@@ -78,6 +79,8 @@ def _distance(turn, integrator, settled, cancelled, parts=1):
 def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> float:
     """Error of log|det| = -sum C (1/m_i + 1/m_j) (time taut), Liouville's formula.
 
+    Laws of beads that depend on the velocity add what they take.
+
     Taken over stretches so short that the determinant does not vanish in rounding: around
     slack/taut switches and spread over the turn; all of the turn where damping is weak enough.
 
@@ -106,12 +109,24 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
             raise Cancelled(f"stopped at {motion.time:g} s of a turn of {period:g} s")
         if begin > motion.time:
             integrator.advance(motion, begin)
-        before = motion.dissipation
+        before, beads = motion.dissipation, _bead_dissipation(integrator, motion)
         end = min(begin + width, period)
         part, matrix = carry_displacements(integrator, motion, np.eye(2 * half), end)
         logarithm = np.linalg.slogdet(matrix)[1]
-        worst = max(worst, abs(logarithm + part.dissipation - before))
+        beads = 0.5 * (end - begin) * (beads + _bead_dissipation(integrator, part))
+        worst = max(worst, abs(logarithm + part.dissipation - before + beads))
     return worst
+
+
+def _bead_dissipation(integrator, motion):
+    """Minus the trace of the beads' accelerations by velocity [1/s]."""
+    if not any(law.by_velocity for law in integrator.system.acting_laws):
+        return 0.0
+    pair, n, m = integrator.symbolic.pair, integrator.system.n, integrator.system.m
+    by_r, by_v = np.empty((2, n + 2 * m, 3, 3))
+    slack = np.zeros(m, dtype=bool)
+    jacobian(integrator.arrays, pair, slack, motion.time, motion.v, motion.r, by_r, by_v)
+    return -float(np.trace(by_v.sum(axis=0)))
 
 
 def _stretches(turn, period, width):

@@ -296,7 +296,7 @@ def _with_enough_damping(system):
 class _NewtonShooting:
     """A start that is improved by Newton's method, with matrices used for as long as they serve.
 
-    A motion in the orbit plane stays there, so that only its variations in the plane are needed.
+    Where a motion in the orbit plane stays there, only its variations in the plane are needed.
     """
 
     def __init__(self, integrator, state, cancelled, symmetry, whole_of=None):
@@ -304,7 +304,7 @@ class _NewtonShooting:
         self.cancelled, self.symmetry = cancelled, symmetry
         x = to_scaled(integrator, state)
         self.free = np.arange(x.size)
-        if not x[2::3].any():
+        if integrator.system.keeps_plane and not x[2::3].any():
             self.free = np.delete(self.free, np.s_[2::3])
         if whole_of is None:
             self._renew()

@@ -101,6 +101,8 @@ class Moving:
         n = sqrt(mu / R^3) [rad/s], the rate of a circular orbit round a round Earth.
     turning : Expression
         [rad/s] how fast the frame turns about z, against the stars.
+    rate : Expression
+        Omega [rad/s], how fast the centre goes round the Earth, and `up` turns.
     """
 
     position: Vector
@@ -109,6 +111,7 @@ class Moving:
     radius: Expression
     mean_motion: Expression
     turning: Expression
+    rate: Expression
 
 
 @dataclass(frozen=True)
@@ -141,3 +144,10 @@ class BeadLaw:
     by_velocity: bool = False
     from_potential: bool = True
     keeps_plane: bool = True
+
+    def __post_init__(self):
+        if self.by_velocity and self.from_potential:
+            raise ValueError(
+                f"bead law {self.name!r} depends on the velocity, so it has no potential:"
+                " say from_potential=False"
+            )

@@ -26,9 +26,12 @@ def acceleration(
     m: Moving, drag_m2_per_kg: Expression, air_density_kg_m3: Expression, scale_height_m: Expression
 ) -> Vector:
     """-1/2 rho(h) (Cd A/m) |v| v, with v relative to the air and rho = rho_0 exp(-h/H)."""
-    x, y, z = (r + m.radius * up for r, up in zip(m.position, m.up))
-    wind = m.turning - EARTH_RATE_RAD_S
-    v = (m.velocity[0] - wind * y, m.velocity[1] + wind * x, m.velocity[2])
+    spin, speed = m.turning - EARTH_RATE_RAD_S, m.radius * (m.rate - EARTH_RATE_RAD_S)
+    v = (
+        m.velocity[0] - spin * m.position[1] - speed * m.up[1],
+        m.velocity[1] + spin * m.position[0] + speed * m.up[0],
+        m.velocity[2],
+    )
     u = (2.0 * dot(m.position, m.up) + dot(m.position, m.position) / m.radius) / m.radius
     thinner = exp(-m.radius * excess(u, 0.5) / scale_height_m)
     strength = -0.5 * drag_m2_per_kg * air_density_kg_m3 * thinner * sqrt(dot(v, v))

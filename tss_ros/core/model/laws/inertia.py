@@ -1,9 +1,9 @@
 """What a frame that turns about z adds to motion seen from it: linear, so stated as code alone."""
 
-from tss_ros.core.numerics.simd import inlined
+from tss_ros.core.numerics.simd import leaf
 
 
-@inlined
+@leaf
 def inertia(x, y, vx, vy, centrifugal, coriolis):
     """Accelerations along x and y by centrifugal force and Coriolis force, Eqs. (9) and (11).
 

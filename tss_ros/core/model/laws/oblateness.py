@@ -1,5 +1,7 @@
 """The Earth's oblateness J2, for orbits in the plane of the equator."""
 
+from typing import Any
+
 from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, Moving, Vector
 from tss_ros.core.numerics.expressions import Expression, dot, power
 
@@ -12,8 +14,8 @@ J2 = LawParameter(
 )  # fmt: skip
 
 
-def orbit(radius, j2):
-    """(Omega / n)^2 - 1 of a circular orbit: (3/2) J2 (Re/R)^2."""
+def orbit(radius: Any, j2: Any) -> Any:
+    """(Omega / n)^2 - 1 of a circular orbit: (3/2) J2 (Re/R)^2; of numbers or expressions."""
     return 1.5 * j2 * (EQUATORIAL_RADIUS_M / radius) ** 2
 
 

@@ -1,4 +1,4 @@
-"""The maker of kernels: source code of values and of Taylor series, from expressions.
+"""The maker of kernels' Taylor series: source code of one order, from expressions.
 
 Series follow from recurrences of the coefficients (A. Jorba and M. Zou, "A software package for the
 numerical integration of ODEs by means of high-order Taylor methods", Exp. Math. 14 (2005) 99-117),
@@ -7,176 +7,16 @@ one for each product, quotient, power and function. All sums of one order share 
 
 from __future__ import annotations
 
-import linecache
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from tss_ros.core.numerics.expressions import (
-    Expression,
-    Function,
-    Product,
-    Sum,
-    Symbol,
-    as_number,
-    multiply,
-    parts,
-    power,
-    varies,
-)
-
+from tss_ros.core.numerics.expressions import Expression, Sum, multiply, varies
+from tss_ros.core.numerics.series_graph import SeriesGraph
 from tss_ros.core.numerics.simd import WIDTH
-
-INDENT = "    "
-
-
-def compiled_source(name: str, source: str, names: Mapping[str, Any]) -> Callable:
-    """The function of that name in a piece of made source; tracebacks show its lines."""
-    file = f"<made: {name}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    space = dict(names)
-    exec(compile(source, file, "exec"), space)
-    return space[name]
+from tss_ros.core.numerics.value_maker import INDENT, Values, compiled_source, joined, times
 
 
-def function_of(
-    name: str,
-    arguments: str,
-    inputs: Mapping[Symbol, str],
-    outputs: Iterable[Expression],
-    names: Mapping[str, Any],
-) -> Callable:
-    """A function of values.
-
-    Parameters
-    ----------
-    name, arguments : str
-        Its name and what stands between its parentheses.
-    inputs : mapping
-        Source of every symbol that occurs.
-    outputs : iterable of Expression
-        What it returns, as a tuple if there are several.
-    names : mapping
-        What the source may call: sqrt and exp, of math, numpy or `simd`.
-
-    Returns
-    -------
-    callable
-        Plain Python, to be compiled or used with arrays.
-    """
-    code = Values(inputs)
-    results = [code.value(output) for output in outputs]
-    lines = [f"def {name}({arguments}):", *code.lines, f"return {', '.join(results)}"]
-    return compiled_source(name, f"\n{INDENT}".join(lines) + "\n", names)
-
-
-class Values:
-    """Lines of source that compute expressions from their parts, each part once.
-
-    Parameters
-    ----------
-    inputs : mapping
-        Source of what is known already, by expression.
-    prefix : str
-        What the names of its variables begin with.
-    """
-
-    def __init__(self, inputs: Mapping[Expression, str], prefix: str = "t"):
-        self.known = dict(inputs)
-        self.lines: list[str] = []
-        self.prefix = prefix
-
-    def name(self, source: str) -> str:
-        """A variable that holds the value of this source."""
-        variable = f"{self.prefix}{len(self.lines)}"
-        self.lines.append(f"{variable} = {source}")
-        return variable
-
-    def value(self, expression: Expression) -> str:
-        """Source of a value, a variable or a number."""
-        number = as_number(expression)
-        if number is not None:
-            return repr(number)
-        if expression not in self.known:
-            self.known[expression] = self.name(self._source(expression))
-        return self.known[expression]
-
-    def _source(self, expression):
-        if isinstance(expression, Sum):
-            terms = [_times(factor, self.value(term)) for term, factor in expression.terms]
-            return _joined(([repr(expression.number)] if expression.number else []) + terms)
-        if isinstance(expression, Product):
-            factors = sorted(expression.factors, key=lambda f: (varies(f[0]), -f[0].serial))
-            over = [(base, exponent) for base, exponent in factors if exponent > 0.0]
-            under = [(base, -exponent) for base, exponent in factors if exponent < 0.0]
-            if not under:
-                return self._chain(over, whole=True)
-            inverse = multiply(*(power(base, -exponent) for base, exponent in under))
-            if inverse not in self.known:
-                self.known[inverse] = self.name(f"1.0 / {self._chain(under)}")
-            inverse = self.known[inverse]
-            return f"{self._chain(over)} * {inverse}" if over else inverse
-        if isinstance(expression, Function) and expression.name == "exp":
-            return f"exp({self.value(expression.argument)})"
-        if isinstance(expression, Function) and expression.name == "excess":
-            return self._excess(self.value(expression.argument), expression.exponent)
-        raise ValueError(f"nothing is known of {expression}")
-
-    def _chain(self, factors, whole=False):
-        """A product of positive powers, so that those that begin alike share their beginnings."""
-        pieces = []
-        for base, exponent in factors:
-            for _ in range(int(exponent)):
-                pieces.append(base)
-            if exponent != int(exponent):
-                pieces.append(power(base, exponent - int(exponent)))
-        done = pieces[0]
-        for count, piece in enumerate(pieces[1:], 2):
-            before = self._piece(done)
-            done = multiply(done, piece)
-            if done not in self.known:
-                source = f"{before} * {self._piece(piece)}"
-                if whole and count == len(pieces):
-                    return source
-                self.known[done] = self.name(source)
-        return self._piece(done)
-
-    def _piece(self, expression):
-        if expression not in self.known and isinstance(expression, Product):
-            (base, exponent), *others = expression.factors
-            if not others and 0.0 < exponent < 1.0:
-                inner = self.value(base)
-                source = f"sqrt({inner})" if exponent == 0.5 else f"{inner} ** {exponent!r}"
-                self.known[expression] = self.name(source)
-        return self.value(expression)
-
-    def _excess(self, x, exponent):
-        """(1 + x)^(n/2) - 1 as ((1 + x)^n - 1) / ((1 + x)^(n/2) + 1), where nothing cancels."""
-        twice = round(abs(2.0 * exponent))
-        polynomial = "1.0"
-        for i in range(twice - 1, 0, -1):
-            polynomial = f"({math.comb(twice, i)}.0 + {x} * {polynomial})"
-        base = self.name(f"1.0 + {x}")
-        whole = " * ".join([base] * (twice // 2) + [f"sqrt({base})"] * (twice % 2))
-        p = self.name(whole)
-        under = f"({p} * (1.0 + {p}))" if exponent < 0.0 else f"(1.0 + {p})"
-        return f"{'-' if exponent < 0.0 else ''}{x} * {polynomial} / {under}"
-
-
-def _times(factor, value):
-    if factor == 1.0:
-        return value
-    return f"-{value}" if factor == -1.0 else f"{factor!r} * {value}"
-
-
-def _joined(terms):
-    text = terms[0]
-    for term in terms[1:]:
-        text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
-    return text
-
-
-class SeriesProgram:
+class SeriesProgram(SeriesGraph):
     """Source of one order of the Taylor series of expressions, in lanes.
 
     Parameters
@@ -197,113 +37,7 @@ class SeriesProgram:
     by slot, each a register wide.
     """
 
-    def __init__(self, inputs, constants, outputs, kept=(), starts=None):
-        self.inputs, self.outputs = inputs, outputs
-        self.starts = starts or {}
-        self.first, self.stride, self.slots = 0, None, {}
-        self.constants = Values(constants, "c")
-        self.nodes: dict[Expression, tuple] = {}
-        for expression in kept:
-            self._stored(expression)
-        for expression in kept:
-            self._node(expression)
-        for output in outputs.values():
-            self._node(output)
-        self.ahead = set()
-        for kind, *operands in list(self.nodes.values()):
-            if kind == "rate":
-                self._mark_ahead(operands[0])
-        #: What depends on coefficients known one order ahead, the last to be known.
-        self.late = set(self.ahead)
-        for expression in self.nodes:
-            if self.late & {*parts(expression), *self.nodes[expression][1:]}:
-                self.late.add(expression)
-
-    # -- the graph ---------------------------------------------------------------------------
-
-    def _node(self, expression):
-        """Take an expression, and what it is made of, into the graph."""
-        if not varies(expression) or expression in self.nodes or expression in self.inputs:
-            return expression
-        if isinstance(expression, Sum):
-            for term, _ in expression.terms:
-                self._node(term)
-            entry = ("sum",)
-        elif isinstance(expression, Function):
-            operand = self._node(expression.argument)
-            entry = (expression.name, operand)
-            if expression.name != "rate":
-                self._history(operand)
-                self._history(expression)
-        else:
-            entry = self._product(expression)
-        self.nodes[expression] = entry
-        return expression
-
-    def _product(self, expression):
-        constant = [(b, e) for b, e in expression.factors if not varies(b)]
-        if constant:
-            rest = multiply(*(power(b, e) for b, e in expression.factors if varies(b)))
-            return "scaled", multiply(*(power(b, e) for b, e in constant)), self._node(rest)
-        # What is made of much comes first: more products begin with it than end with it.
-        factors = sorted(expression.factors, key=lambda f: -f[0].serial)
-        if len(factors) == 1 and (factors[0][1] != int(factors[0][1]) or factors[0][1] < 0.0):
-            base = self._node(factors[0][0])
-            self._history(base)
-            self._history(expression)
-            return "power", base, factors[0][1]
-        pieces, under = [], []
-        for base, exponent in factors:
-            whole = int(exponent) if exponent > 0.0 else 0
-            pieces += [base] * whole
-            if exponent == -1.0:
-                under.append(base)
-            elif exponent != whole:
-                pieces.append(power(base, exponent - whole))
-        if under and len(pieces) == len(under) == 1:
-            over, base = self._node(pieces[0]), self._node(under[0])
-            self._history(base)
-            self._history(expression)
-            return "quotient", over, base
-        for i, base in enumerate(under):
-            if i < len(pieces):
-                pieces[i] = multiply(pieces[i], power(base, -1.0))
-            else:
-                pieces.append(power(base, -1.0))
-        last = self._node(pieces[-1])
-        first = self._node(multiply(*pieces[:-1]))
-        self._history(first)
-        self._history(last)
-        return "product", first, last
-
-    def _alias(self, expression):
-        """Of coefficients from the first order on, where they are those of something else."""
-        while isinstance(expression, Sum) and expression not in self.slots:
-            (term, factor), *others = [(t, f) for t, f in expression.terms if varies(t)]
-            if others or factor != 1.0:
-                break
-            expression = term
-        return expression
-
-    def _history(self, expression):
-        expression = self._alias(expression)
-        if expression not in self.inputs:
-            self._stored(expression)
-
-    def _stored(self, expression):
-        self.slots.setdefault(expression, len(self.slots))
-
-    def _mark_ahead(self, expression):
-        if expression in self.ahead or not varies(expression) or expression in self.inputs:
-            return
-        self.ahead.add(expression)
-        for part in parts(expression):
-            self._mark_ahead(part)
-        for operand in self.nodes.get(expression, ())[1:]:
-            if isinstance(operand, Expression):
-                self._mark_ahead(operand)
-
-    # -- the source --------------------------------------------------------------------------
+    first, stride = 0, None
 
     def lie(self, first: int, stride: int) -> None:
         """Say where the first slot is among so many of each order; its own ones if never said."""
@@ -373,8 +107,8 @@ class SeriesProgram:
         else:
             kind, *operands = self.nodes[expression]
             if kind == "sum":
-                source = _joined([
-                    _times(factor, self._first(code, known, term))
+                source = joined([
+                    times(factor, self._first(code, known, term))
                     for term, factor in expression.terms if varies(term)
                 ])  # fmt: skip
             elif kind == "product" and operands[0] is operands[1]:
@@ -434,10 +168,10 @@ class SeriesProgram:
         if expression not in self.zeros:
             if isinstance(expression, Sum) and self._alias(expression) is not expression:
                 terms = [
-                    self._zero(t) if varies(t) else _times(f, self.constants.value(t))
+                    self._zero(t) if varies(t) else times(f, self.constants.value(t))
                     for t, f in expression.terms
                 ]  # fmt: skip
-                source = _joined(terms + ([repr(expression.number)] if expression.number else []))
+                source = joined(terms + ([repr(expression.number)] if expression.number else []))
             else:
                 source = self._coefficient(expression, "0")
             self.zeros[expression] = self._named(source, "z")
@@ -504,13 +238,13 @@ class SeriesProgram:
         sources = [self._share_now(term, factor, order) for term, factor in others]
         if inner:
             sources.insert(0, self._products_now([self.nodes[t][1:] for t in inner], order))
-        return _joined(sources)
+        return joined(sources)
 
     def _share_now(self, term, factor, order):
         """Source of a term of a sum: numbers and constants are multiplied once."""
         kind, *operands = self.nodes.get(term, ("",))
         if kind != "scaled":
-            return _times(factor, self._now(term, order))
+            return times(factor, self._now(term, order))
         constant = self.constants.value(multiply(factor, operands[0]))
         return f"{constant} * {self._now(operands[1], order)}"
 
@@ -527,13 +261,14 @@ class SeriesProgram:
                 new.append(f"{zero} * {self._now_of(other, order)}")
                 if x is y:
                     break
-        return _joined(early + late)
+        return joined(early + late)
 
     def _pair(self, x, y, order):
         """What a product adds within the loop: the way round for which more is loaded already."""
         ways = [(x, y)] if order == "k + 1" else [(x, y), (y, x)]
+        orders = "b", f"{order} - b"
         missing = [
-            sum(self._coefficient(e, o) not in self.loop for e, o in zip(way, ("b", f"{order} - b")))
+            sum(self._coefficient(e, o) not in self.loop for e, o in zip(way, orders))
             for way in ways
         ]
         x, y = ways[missing.index(min(missing))]

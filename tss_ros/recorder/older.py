@@ -1,0 +1,54 @@
+"""Messages of earlier revisions as those of today, so that their bags can be played."""
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from tss_ros.bags.older import UNSAID
+from tss_ros.ros.topics import base_type, definition, message_class, used_types
+
+
+def converter(schema: Schema) -> Callable[[bytes], Any]:
+    """What makes messages of a bag publishable.
+
+    Parameters
+    ----------
+    schema : mcap.records.Schema
+        Their type as the bag has it.
+
+    Returns
+    -------
+    callable
+        Of a serialised message: the same, or, where the type of this package was another when the
+        bag was made, a message of today's.
+    """
+    known = schema.name.startswith("tss_interfaces/") and schema.encoding == "ros2msg"
+    if not known or _bare(schema.data.decode()) == _bare(definition(schema.name)):
+        return lambda data: data
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    return lambda data: _renewed(schema.name, decode(data))
+
+
+def _renewed(type_name, decoded):
+    """A message with the fields of a decoded one; fields that it lacks are left empty or unsaid."""
+    message, inner = message_class(type_name)(), used_types(type_name)
+    for name, kind in message.get_fields_and_field_types().items():
+        if not hasattr(decoded, name):
+            value = UNSAID.get(name, getattr(message, name))
+        elif name not in inner:
+            value = getattr(decoded, name)
+        elif kind.startswith("sequence<") or kind.endswith("]"):
+            value = [_renewed(base_type(kind), part) for part in getattr(decoded, name)]
+        else:
+            value = _renewed(base_type(kind), getattr(decoded, name))
+        setattr(message, name, value)
+    return message
+
+
+def _bare(text):
+    """A definition without comments and blank space."""
+    lines = (re.sub(r"\s+", " ", line.partition("#")[0]).strip() for line in text.splitlines())
+    return [line for line in lines if line]
