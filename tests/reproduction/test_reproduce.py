@@ -12,7 +12,16 @@ from ros_harness import START_S, STOP_S, Process, wait_until
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.core import confirm
-from tss_ros.reproduction import claims, loose_tolerance, report, reproduce, verdicts
+from tss_ros.reproduction import (
+    claims,
+    loose_tolerance,
+    motions,
+    paper_figures,
+    pulling,
+    report,
+    reproduce,
+    verdicts,
+)
 from tss_ros.runs.processes import STOP_S as NODE_STOP_S
 
 PNG, PDF = b"\x89PNG\r\n\x1a\n", b"%PDF"
@@ -74,6 +83,15 @@ def test_a_figure_is_drawn_from_its_recording_and_not_made_again(run, tmp_path):
         change = np.abs(recording.deviation_from_centre - recording.deviation_from_centre[0])
         assert change.max() == pytest.approx(seen.deviation_from_centre, rel=1e-2)
         assert seen.held == held
+        of = claims.system("three_star", damping)
+        here = motions.simulate(of, motion, lambda: False)
+        first = recording.turns < 1.0
+        np.testing.assert_allclose(here.position_m[first], recording.position_m[first], atol=1e-3)
+        told = motions.outcome(of, motion, recording, lambda: False)
+        assert told["held"] == held and (told["lost_after"] is None) == held
+        assert 0.01 < told["pushing_share"] < 0.5
+        title = paper_figures.orbit(recording).get_suptitle()
+        assert "kelvin_voigt" in title and f"{100 * told['pushing_share']:.0f} %" in title
 
     files = {p: p.stat().st_mtime_ns for p in output.rglob("*") if p.is_file()}
     process = start("--figure", "8", "--output", "out")
@@ -127,6 +145,42 @@ def test_a_general_integrator_agrees_when_its_tolerance_is_strict():
         assert (deviation < 0.2) == held
 
 
+def test_a_damped_ring_that_holds_by_pushing_is_lost_where_tethers_only_pull():
+    """By the core and by the general integrator; above the slack limit both laws hold."""
+    for rate, law, held in (
+        (-2.4, claims.PAPER_LAW, True),
+        (-2.4, claims.PULLING_LAW, False),
+        (-2.6, claims.PULLING_LAW, True),
+    ):
+        of, motion = claims.system("three_star", 1450.0, law), claims.PaperMotion("", rate)
+        seen = motions.simulate(of, motion, lambda: False)
+        told = motions.outcome(of, motion, seen, lambda: False)
+        assert told["held"] == held and (told["lost_after"] is None) == held
+        assert (told["pushing_share"] > 0.1) == (law == claims.PAPER_LAW)
+        deviation = loose_tolerance.largest_deviation(of, rate, 1e-8, lambda: False)
+        assert (deviation < claims.LOST) == held
+
+
+def test_tethers_that_only_pull_first_let_go_at_the_rigid_limit():
+    """Whatever the damping: Eq. (6) keeps them taut to slower rates the more it damps."""
+    for damping in (100.0, 1450.0):
+        found = claims.boundaries(
+            "three_star", damping, -2.62, -2.56, lambda: False, tether_law=claims.PULLING_LAW
+        )
+        assert [(cause, side) for _, cause, side in found] == [("first slack", -1)]
+        assert found[0][0] == pytest.approx(claims.RIGID_EDGE, abs=5e-3)
+    assert claims.boundaries("three_star", 1450.0, -2.62, -2.56, lambda: False) == []
+
+
+def test_rates_of_tethers_that_only_pull_bracket_what_single_motions_do():
+    row = pulling.critical_rates("three_star_1000kg", (1450.0,), (), lambda: False)[0]
+    assert row["held_long"] is None
+    of = claims.system("three_star_1000kg", 1450.0, claims.PULLING_LAW)
+    for beyond, held in ((-0.01, True), (0.01, False)):
+        motion = claims.PaperMotion("", row["held"] + beyond, pulling.SHORT)
+        assert motions.fate(of, motion, lambda: False)["held"] == held
+
+
 def test_every_claim_has_a_complete_row():
     """Against the list of claims in the paper's figures, with made-up numbers."""
     rows = verdicts.claim_rows(made_up, 1451.0)
@@ -142,31 +196,56 @@ def test_every_claim_has_a_complete_row():
     assert told["critical rate 2.07"].startswith("reproduced at C = 1848")
     assert told["critical rate 2.79"].startswith("not reproduced: ")
     assert all(verdict.startswith(("reproduced", "not reproduced: ")) for verdict in told.values())
+    column = verdicts.HEADING.index("with tethers that only pull")
+    pulled = {row[1]: row[column] for row in rows}
+    assert all(text.startswith(("reproduced: ", "not reproduced: ")) for text in pulled.values())
+    assert pulled["critical rate 2.17"].startswith("not reproduced: held for 12 turns beyond 2.505")
+    assert pulled["lost at 2.0"].startswith("reproduced: ")
+    shares = [row[column + 1] for row in rows]
+    assert all("%" in share or share == "–" for share in shares)
+
+
+def made_up_motion(held):
+    return {
+        "frozen": 1.003,
+        "frozen_verdict": "neutral",
+        "verdict": "neutral",
+        "nontrivial": 1.0,
+        "closure": 1e-5,
+        "held": held,
+        "settle": 0.25,
+        "from_centre": 0.01,
+        "from_origin": 0.02,
+        "recorded": 0.01,
+        "lost_after": None if held else 2.0,
+        "pushing_share": 0.13,
+        "oscillation": {"length_last": 1e-5, "kink_last_deg": 3.0, "settled_share": 1.0},
+    }
 
 
 def made_up(item):
-    """Numbers like those of `claims`: critical at 2.17, held wherever faster."""
+    """Numbers like those of `claims`: critical at 2.17, held wherever faster; pulling, at 2.505."""
     kind, _, name = item.partition(" ")
     if kind == "motion":
-        held = claims.MOTIONS[name].rate < -2.17
-        swing = {"length_last": 1e-5, "kink_last_deg": 3.0, "settled_share": 1.0}
-        return {
-            "frozen": 1.003,
-            "frozen_verdict": "neutral",
-            "verdict": "neutral",
-            "nontrivial": 1.0,
-            "closure": 1e-5,
-            "held": held,
-            "settle": 0.25,
-            "from_centre": 0.01,
-            "from_origin": 0.02,
-            "recorded": 0.01,
-            "lost_after": None if held else 2.0,
-            "oscillation": swing,
-        }
+        rate = claims.MOTIONS[name].rate
+        pulls = made_up_motion(rate < -2.505) | {"turns": 12}
+        return made_up_motion(rate < -2.17) | {"pulling": pulls}
     simulated = {"settled": -2.16, "held": -2.14, "origin": -2.14}
     return {
         "boundaries": [[-2.171, "first slack", -1], [-2.16, "spin", -1]],
+        "claimed": {
+            claims.PAPER_LAW: made_up_motion(True),
+            claims.PULLING_LAW: made_up_motion(False),
+        },
+        "pulling": [
+            {
+                "damping": 1451.0,
+                "held": -2.505,
+                "settled": -2.52,
+                "held_long": None if name == "six_bead" else -2.555,
+                "boundaries": [[-2.582, "first slack", -1], [-2.523, "spin", -1]],
+            }
+        ],
         "curve": [{"frozen": 1.003, "frozen_nontrivial": 1.0}],
         "damping": {
             "three_star": {"damping": 1451.0},

@@ -7,13 +7,12 @@ w = omega / Omega, negative for the paper's clockwise.
 import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 
-from tss_ros.bags.recording import Recording
 from tss_ros.core import (
     Propagator,
     System,
@@ -26,6 +25,8 @@ from tss_ros.core.stability.confirmation import LOST, SAMPLES
 from tss_ros.scenarios import scenario
 
 DISTURBANCE_M, SEED = 10.0, 1
+#: The paper's tether, Eq. (6), which may push, and the one that only pulls.
+PAPER_LAW, PULLING_LAW = "kelvin_voigt", "tension_only"
 #: Motions are recorded as densely as `confirm` samples them.
 SAMPLES_PER_TURN = SAMPLES
 #: Half-width within which a computed critical rate agrees with the paper's three digits.
@@ -97,9 +98,10 @@ FATES = (
 )
 
 
-def system(name: str, damping_n_s_per_m: float) -> System:
-    """The System of a shipped scenario with another damping."""
-    return scenario.load(name).build({"damping_n_s_per_m": damping_n_s_per_m})
+def system(name: str, damping_n_s_per_m: float, tether_law: str = PAPER_LAW) -> System:
+    """The System of a shipped scenario with another damping, and another tether law."""
+    of = scenario.load(name).build({"damping_n_s_per_m": damping_n_s_per_m})
+    return replace(of, tether_law=tether_law)
 
 
 def slack_edge(damping_n_s_per_m: float, of: System) -> float:
@@ -162,6 +164,7 @@ def boundaries(
     ratio_to: float,
     cancelled: Callable[[], bool],
     tolerance: float = 2e-3,
+    tether_law: str = PAPER_LAW,
 ) -> list[list]:
     """Critical rates by the true monodromy.
 
@@ -176,15 +179,15 @@ def boundaries(
     cancelled : callable
     tolerance : float
         Largest uncertainty of a rate.
+    tether_law : str
 
     Returns
     -------
     list of [float, str, int]
         Rate, cause, and 1 or -1 for the stable side.
     """
-    rates = find_critical_rates(
-        system(name, damping), ratio_from, ratio_to, tolerance, 0.1, cancelled=cancelled
-    )
+    of = system(name, damping, tether_law)
+    rates = find_critical_rates(of, ratio_from, ratio_to, tolerance, 0.1, cancelled=cancelled)
     return [[r.spin_rate_ratio, r.cause, r.stable_side] for r in rates]
 
 
@@ -194,8 +197,11 @@ def simulated_edges(
     cancelled: Callable[[], bool],
     disturbance_m: float = DISTURBANCE_M,
     which: Iterable[str] | None = None,
+    *,
+    turns: int = 12,
+    tether_law: str = PAPER_LAW,
 ) -> dict[str, float | None]:
-    """Bisect, to 0.005, where motions disturbed for 12 turns are held, and where they also settle.
+    """Bisect, to 0.005, where disturbed motions are held for so many turns, and also settle.
 
     Returns
     -------
@@ -204,8 +210,7 @@ def simulated_edges(
         from the frame's origin), or those of them in `which`; None where no rate between 1.9 and
         3.4 separates lost from held.
     """
-    turns = 12
-    of = system(name, damping)
+    of = system(name, damping, tether_law)
 
     @functools.cache
     def run(rate):
@@ -307,88 +312,3 @@ def curve(name: str, damping: float, cancelled: Callable[[], bool]) -> list[dict
         }
         rows.append(row)
     return rows
-
-
-def fate(motion: PaperMotion, damping: float, cancelled: Callable[[], bool]) -> dict[str, Any]:
-    """Verdict of both Floquet methods and of the disturbed simulation for one recorded motion."""
-    of = system(motion.scenario, damping)
-    true = compute_floquet(of, motion.rate, cancelled=cancelled)
-    frozen = compute_floquet(of, motion.rate, "frozen", cancelled=cancelled)
-    seen = confirm(
-        of,
-        motion.rate,
-        disturbance_m=motion.disturbance_m or DISTURBANCE_M,
-        seed=SEED,
-        turns=motion.turns,
-        cancelled=cancelled,
-    )
-    return {
-        "frozen": frozen.max_modulus,
-        "frozen_verdict": frozen.verdict,
-        "verdict": true.verdict,
-        "nontrivial": true.max_modulus_nontrivial,
-        "closure": true.closure_residual,
-        "held": seen.held,
-        "settle": seen.turns_to_settle,
-        "from_centre": seen.deviation_from_centre,
-        "from_origin": seen.deviation_from_origin,
-    }
-
-
-def fates_by_damping(
-    motion: PaperMotion, dampings: Iterable[float], cancelled: Callable[[], bool]
-) -> list[list]:
-    """Whether the disturbed motion is held and settles, at each damping."""
-    rows = []
-    for damping in dampings:
-        seen = confirm(
-            system(motion.scenario, damping),
-            motion.rate,
-            disturbance_m=motion.disturbance_m,
-            seed=SEED,
-            turns=motion.turns,
-            cancelled=cancelled,
-        )
-        rows.append([damping, seen.held, seen.turns_to_settle])
-    return rows
-
-
-def oscillation(recording: Recording, from_turn: float = 2.0) -> dict[str, Any]:
-    """What lengths and shape of a recorded motion do after `from_turn`.
-
-    The shape is the kink of each tether in its middle: the signed angle in the orbital plane
-    between its halves, at the bead; 0 where the tether is straight.
-
-    Returns
-    -------
-    dict
-        "length_first", "length_last": largest |l / L - 1| of the first and the last turn;
-        "settled_share": part of the last four turns in which every |l / L - 1| is below 1e-3;
-        "kink_first_deg", "kink_last_deg": peak-to-peak kink in a turn after `from_turn` and in the
-        last; "peaks": strongest spectral lines of the kink as [cycles per turn, amplitude in deg].
-    """
-    turns = recording.turns
-    strain = np.abs(recording.length_m / recording.rest_length_m - 1.0).max(axis=1)
-    position = recording.position_m
-    beads = np.flatnonzero(~recording.is_satellite)
-    n = position.shape[1]
-    x, y, _ = np.moveaxis(position[:, beads] - position[:, (beads - 1) % n], 2, 0)
-    x_next, y_next, _ = np.moveaxis(position[:, (beads + 1) % n] - position[:, beads], 2, 0)
-    kink = np.degrees(np.arctan2(x * y_next - y * x_next, x * x_next + y * y_next))
-    first = (turns >= from_turn) & (turns < from_turn + 1)
-    last = turns >= turns[-1] - 1
-    late = kink[turns >= from_turn]
-    window = np.hanning(len(late))[:, None]
-    spectrum = 2 * np.abs(np.fft.rfft((late - late.mean(axis=0)) * window, axis=0)) / window.sum()
-    per_turn = np.fft.rfftfreq(len(late), turns[1] - turns[0])
-    line = spectrum.max(axis=1)
-    peaks = 1 + np.flatnonzero((line[1:-1] > line[:-2]) & (line[1:-1] > line[2:]))
-    peaks = peaks[np.argsort(-line[peaks])][:3]
-    return {
-        "length_first": float(strain[turns < 1].max()),
-        "length_last": float(strain[last].max()),
-        "settled_share": float(np.mean(strain[turns >= turns[-1] - 4] < 1e-3)),
-        "kink_first_deg": float(np.ptp(kink[first], axis=0).max()),
-        "kink_last_deg": float(np.ptp(kink[last], axis=0).max()),
-        "peaks": [[float(per_turn[i]), float(line[i])] for i in peaks],
-    }

@@ -1,46 +1,23 @@
-"""A general-purpose integrator on Eq. (1) as printed, to see what a loose tolerance does.
+"""A general-purpose integrator on Eq. (1), to see what a loose tolerance does.
 
-scipy's LSODA, written down as a user of such a solver would: SI units, orbit frame, slack and taut
-left to the step control. Nothing else in the package computes with it.
+scipy's LSODA, used as one uses such a solver: SI units, orbit frame, slack and taut left to the
+step control. The forces are those of the core's laws; nothing else is shared with its integrators,
+and nothing else in the package computes with this one.
 """
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.integrate import odeint
 
 from tss_ros.core import Cancelled, System, disturbed, initial_state
-from tss_ros.core.model.system import MU_EARTH
+from tss_ros.core.model.forces import acceleration, stretch, tensions
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.numerics.simd import allocating
 from tss_ros.reproduction.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 
 TURNS, SAMPLES_PER_TURN = 8, 50
-
-
-class _Constants(NamedTuple):
-    """Constants of Eq. (1) in SI units.
-
-    Attributes
-    ----------
-    mass : ndarray, shape (n,)
-    first, second : ndarray, shape (m,), int
-        Beads at the two ends of each segment.
-    rest, stiffness, damping : ndarray, shape (m,)
-        L [m], EA [N] and C [N s/m].
-    rate, radius : float
-        Of the orbit [rad/s], [m].
-    """
-
-    mass: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    rest: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    rate: float
-    radius: float
 
 
 def held_edges(
@@ -80,22 +57,12 @@ def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[
     """Largest change of a distance from the centre of mass, over itself, in `TURNS` turns."""
     start = disturbed(initial_state(of, rate), DISTURBANCE_M, SEED)
     turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))
-    first, second = np.ascontiguousarray(of.tether_ends.T)
-    constants = _Constants(
-        mass=of.mass_kg,
-        first=first,
-        second=second,
-        rest=of.rest_length_m,
-        stiffness=of.axial_stiffness_n,
-        damping=of.damping_n_s_per_m,
-        rate=of.orbit_rate_rad_s,
-        radius=of.orbit_radius_m,
-    )
+    arrays = kernel_arrays(of, 0.0)
 
     def derivative(state, _):
         if cancelled():
             raise Cancelled(f"stopped at rate {rate:g}")
-        return _derivative(state, constants)
+        return _derivative(arrays, state)
 
     states = odeint(
         derivative,
@@ -111,26 +78,16 @@ def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[
     return float(np.max(np.abs(distance_m / distance_m[0] - 1)))
 
 
-@njit(cache=True)
-def _derivative(state, constants):
-    mass, first, second, rest, stiffness, damping, rate, radius = constants
-    n = mass.size
+@allocating
+def _derivative(arrays, state):
+    """Eq. (30): velocities and positions of all beads, in this order, to their derivatives."""
+    n, m = arrays.inv_mass.size, arrays.rest.size
+    v, r = state[: 3 * n].reshape(n, 3), state[3 * n :].reshape(n, 3)
+    excess, growth, pull = np.empty(m), np.empty(m), np.empty(m)
+    stretch(arrays, v, r, excess, growth)
+    tensions(arrays, v, r, pull)
     change = np.empty(6 * n)
+    acts = (excess > 0.0) & (arrays.pushes | (pull > 0.0))
+    acceleration(arrays, acts, 0.0, v, r, change[: 3 * n].reshape(n, 3))
     change[3 * n :] = state[: 3 * n]
-    for i in range(n):
-        u, v = state[3 * i], state[3 * i + 1]
-        x, y, z = state[3 * (n + i)], state[3 * (n + i) + 1] + radius, state[3 * (n + i) + 2]
-        gravity = MU_EARTH / (x * x + y * y + z * z) ** 1.5
-        change[3 * i] = (rate**2 - gravity) * x + 2 * rate * v
-        change[3 * i + 1] = (rate**2 - gravity) * y - 2 * rate * u
-        change[3 * i + 2] = -gravity * z
-    for j in range(rest.size):
-        a, b = 3 * first[j], 3 * second[j]
-        e = state[3 * n + a : 3 * n + a + 3] - state[3 * n + b : 3 * n + b + 3]
-        length = math.sqrt(np.sum(e * e))
-        if length > rest[j]:
-            growth = np.sum(e * (state[a : a + 3] - state[b : b + 3])) / length
-            tension = stiffness[j] * (length / rest[j] - 1) + damping[j] * growth
-            change[a : a + 3] -= tension / length / mass[first[j]] * e
-            change[b : b + 3] += tension / length / mass[second[j]] * e
     return change

@@ -21,6 +21,7 @@ from tss_ros.plots.style import (
     finish,
     legend_below,
     series_style,
+    state_law,
 )
 
 SPIN_RATE = "clockwise spin rate |ω|/Ω [-]"
@@ -29,9 +30,15 @@ BESIDE_SPACE = 0.12
 TURNS = "turns of the formation [-]"
 
 
-def _figure(width, height, wspace=0.02):
+def _figure(width, height, wspace=0.02, recordings=()):
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     figure.get_layout_engine().set(wspace=wspace)
+    if recordings:
+        shares = ", ".join(
+            f"{100 * seen.pushing_share:.0f} % of the time at {abs(seen.spin_rate_ratio):g} Ω"
+            for seen in recordings
+        )
+        state_law(figure, f"{recordings[0].tether_law}, taut tethers push {shares}")
     return figure
 
 
@@ -56,7 +63,7 @@ def table(rows: Sequence[tuple[str, str, str, str]]) -> Figure:
 
 def orbit(recording: Recording) -> Figure:
     """Figs. 3, 4, 6, 7: paths in space, satellites and tethers at the start and the end."""
-    figure = _figure(6.4, 5.6)
+    figure = _figure(6.4, 5.6, recordings=[recording])
     axes = figure.add_subplot(projection="3d")
     _space(axes, recording)
     legend_below(figure, axes, columns=3)
@@ -65,7 +72,7 @@ def orbit(recording: Recording) -> Figure:
 
 def deviations(recordings: Sequence[Recording]) -> Figure:
     """Fig. 8: relative deviation (53) of several motions, from the origin and from the centre."""
-    figure = _figure(9.0, 5.6)
+    figure = _figure(9.0, 5.6, recordings=recordings)
     rows = figure.subplots(2, len(recordings), sharex="col", squeeze=False)
     for column, recording in enumerate(recordings):
         title = f"({'ab'[column]}) |ω| = {abs(recording.spin_rate_ratio):g} Ω"
@@ -80,7 +87,7 @@ def deviations(recordings: Sequence[Recording]) -> Figure:
 
 def formation(recordings: Sequence[Recording]) -> Figure:
     """Figs. 10, 11: for each motion its paths in space, the top view and the deviation."""
-    figure = _figure(13.0, 4.3 * len(recordings) + 0.4, BESIDE_SPACE)
+    figure = _figure(13.0, 4.3 * len(recordings) + 0.4, BESIDE_SPACE, recordings)
     for row, recording in enumerate(recordings):
         place = [(len(recordings), 3, 3 * row + column + 1) for column in range(3)]
         letters = "abcdef"[3 * row : 3 * row + 3]
@@ -110,7 +117,7 @@ def formation(recordings: Sequence[Recording]) -> Figure:
 
 def views(recordings: Sequence[Recording]) -> Figure:
     """Fig. 14: for each motion its paths in space and the top view."""
-    figure = _figure(10.0, 4.6 * len(recordings) + 0.4, BESIDE_SPACE)
+    figure = _figure(10.0, 4.6 * len(recordings) + 0.4, BESIDE_SPACE, recordings)
     for row, recording in enumerate(recordings):
         space = figure.add_subplot(len(recordings), 2, 2 * row + 1, projection="3d")
         top = figure.add_subplot(len(recordings), 2, 2 * row + 2)
@@ -124,7 +131,7 @@ def views(recordings: Sequence[Recording]) -> Figure:
 
 def distances_and_lengths(recordings: Sequence[Recording]) -> Figure:
     """Fig. 15: for each motion the beads' distances and the tethers' lengths against turns."""
-    figure = _figure(11.0, 3.4 * len(recordings) + 0.5)
+    figure = _figure(11.0, 3.4 * len(recordings) + 0.5, recordings=recordings)
     grid = figure.subplots(len(recordings), 2, squeeze=False)
     for (left, right), recording, letters in zip(grid, recordings, ("ab", "cd")):
         _deviation(left, recording, recording.deviation_from_centre, "from the centre of mass [%]")
@@ -140,13 +147,16 @@ def distances_and_lengths(recordings: Sequence[Recording]) -> Figure:
     return figure
 
 
-def multipliers(curves: Sequence[tuple[str, float, float | None, list[dict[str, Any]]]]) -> Figure:
+def multipliers(
+    curves: Sequence[tuple[str, float, float | None, float | None, list[dict[str, Any]]]],
+) -> Figure:
     """Figs. 5, 9, 13: largest multipliers against the spin rate, and enlarged near the claim.
 
     Parameters
     ----------
-    curves : sequence of (str, float, float or None, list of dict)
-        Title, claimed rate, critical rate found, and the rows of `claims.curve`.
+    curves : sequence of (str, float, float or None, float or None, list of dict)
+        Title, claimed rate, critical rate found, rate from which on disturbed motions of tethers
+        that only pull were held, and the rows of `claims.curve`.
 
     Returns
     -------
@@ -154,9 +164,9 @@ def multipliers(curves: Sequence[tuple[str, float, float | None, list[dict[str, 
     """
     figure = _figure(10.0, 4.0 * len(curves) + 0.6)
     grid = figure.subplots(len(curves), 2, squeeze=False)
-    for (whole, near), (title, claimed, found, rows), letters in zip(grid, curves, ("ab", "cd")):
+    for (whole, near), (title, claimed, *found, rows), letters in zip(grid, curves, ("ab", "cd")):
         for axes, letter in ((whole, letters[0]), (near, letters[1])):
-            _multipliers(axes, rows, claimed, found)
+            _multipliers(axes, rows, claimed, *found)
             axes.set_title(f"({letter}) {title}", fontsize=10)
         near.set_xlim(abs(claimed) - 0.125, abs(claimed) + 0.125)
         inside = [r["nontrivial"] for r in rows if abs(r["rate"] - claimed) < 0.125]
@@ -169,13 +179,19 @@ def multipliers(curves: Sequence[tuple[str, float, float | None, list[dict[str, 
     return figure
 
 
-def critical_rates(scans: dict[str, list[dict[str, Any]]], claims: dict[str, float]) -> Figure:
+def critical_rates(
+    scans: dict[str, list[dict[str, Any]]],
+    pulling: dict[str, list[dict[str, Any]]],
+    claims: dict[str, float],
+) -> Figure:
     """Critical rate against damping: monodromy and simulation beside the paper's claims.
 
     Parameters
     ----------
     scans : dict of str to list of dict
         Titles, and rows of `claims.damping_scan`.
+    pulling : dict of str to list of dict
+        Titles, and rows of `pulling.critical_rates`.
     claims : dict of str to float
         Claimed rates by title.
 
@@ -183,7 +199,7 @@ def critical_rates(scans: dict[str, list[dict[str, Any]]], claims: dict[str, flo
     -------
     matplotlib.figure.Figure
     """
-    figure = _figure(8.0, 5.2)
+    figure = _figure(8.6, 6.0)
     axes = figure.subplots()
     for i, (title, rows) in enumerate(scans.items()):
         colour, marker = COLOURS[i], MARKERS[i]
@@ -219,6 +235,15 @@ def critical_rates(scans: dict[str, list[dict[str, Any]]], claims: dict[str, flo
             markersize=4,
             label=f"simulation settles, {title}",
         )
+        axes.plot(
+            [row["damping"] for row in pulling[title]],
+            [abs(row["held"] or np.nan) for row in pulling[title]],
+            marker="x+1"[i],
+            color=INK,
+            linestyle="",
+            markersize=8,
+            label=f"only pulling: held for 12 turns, {title}",
+        )
     for i, (title, claimed) in enumerate(claims.items()):
         axes.axhline(
             abs(claimed),
@@ -233,7 +258,7 @@ def critical_rates(scans: dict[str, list[dict[str, Any]]], claims: dict[str, flo
     return figure
 
 
-def _multipliers(axes, rows, claimed, found):
+def _multipliers(axes, rows, claimed, found, pulling):
     rate = np.array([-r["rate"] for r in rows])
     order = np.argsort(rate)
     columns = {
@@ -267,8 +292,13 @@ def _multipliers(axes, rows, claimed, found):
     axes.axvline(abs(claimed), color=INK, linewidth=1, linestyle=":", label="paper's critical rate")
     if found is not None:
         axes.axvline(
-            abs(found), color=COLOURS[2], linewidth=1.2, linestyle="-.", label="found here"
+            abs(found), color=COLOURS[2], linewidth=1.2, linestyle="-.", label="found, Eq. (6)"
         )
+    if pulling is not None:
+        axes.axvline(
+            abs(pulling), color=COLOURS[3], linewidth=1.2, linestyle=(0, (4, 2)),
+            label="tethers that only pull: held beyond",
+        )  # fmt: skip
     axes.set_yscale("log")
     finish(axes, SPIN_RATE, "multiplier modulus |ρ| [-]")
 

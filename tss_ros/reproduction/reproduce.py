@@ -18,7 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from tss_ros.bags.recording import Recording, read_bag
-from tss_ros.reproduction import claims, loose_tolerance, paper_figures, report, verdicts
+from tss_ros.reproduction import (
+    claims,
+    loose_tolerance,
+    motions,
+    paper_figures,
+    pulling,
+    report,
+    verdicts,
+)
 from tss_ros.runs.processes import record, run_command, watched_nodes
 
 PACKAGE = Path(__file__).parent.parent
@@ -52,7 +60,8 @@ def _of_motions(draw, *motions):
 
 
 def _of_curves(*names):
-    needs = [item for name in names for item in (f"curve {name}", f"boundaries {name}")]
+    kinds = ("curve", "boundaries", "pulling")
+    needs = [f"{kind} {name}" for name in names for kind in kinds]
     return Figure(
         tuple(needs),
         lambda work: paper_figures.multipliers(
@@ -61,6 +70,7 @@ def _of_curves(*names):
                     claims.TITLES[name],
                     claims.CRITICAL[name],
                     verdicts.critical(work.result(f"boundaries {name}")),
+                    verdicts.pulling_row(work.result, work.damping, name)["held"],
                     work.result(f"curve {name}"),
                 )
                 for name in names
@@ -89,13 +99,12 @@ FIGURES = {
 }
 #: Pictures that belong to the report alone.
 EXTRA = {
-    "table_1": Figure(
-        (), lambda work: paper_figures.table(report.table_1(work.damping))
-    ),
+    "table_1": Figure((), lambda work: paper_figures.table(report.table_1(work.damping))),
     "critical_rates": Figure(
-        tuple(f"scan {name}" for name in claims.STARS),
+        tuple(f"{kind} {name}" for kind in ("scan", "pulling") for name in claims.STARS),
         lambda work: paper_figures.critical_rates(
             {claims.TITLES[name]: work.result(f"scan {name}") for name in claims.STARS},
+            {claims.TITLES[name]: work.result(f"pulling {name}") for name in claims.STARS},
             {claims.TITLES[name]: claims.CRITICAL[name] for name in claims.STARS},
         ),
     ),
@@ -103,6 +112,7 @@ EXTRA = {
 }
 #: Numbers that belong to the report alone, by item.
 EXPLORATIONS = (
+    *(f"claimed {name}" for name in claims.CRITICAL),
     "fates",
     "none beyond",
     "six beads",
@@ -212,9 +222,16 @@ class Workshop:
         return {
             "curve": lambda: claims.curve(name, damping, cancelled),
             "boundaries": lambda: claims.boundaries(name, damping, -3.5, -1.9, cancelled),
+            "pulling": lambda: pulling.critical_rates(
+                name,
+                (damping,) if name == "six_bead" else sorted({*pulling.DAMPINGS, damping}),
+                () if name == "six_bead" else (damping,),
+                cancelled,
+            ),
+            "claimed": lambda: pulling.at_claim(name, damping, cancelled),
             "scan": lambda: claims.damping_scan(name, dampings[1:], cancelled),
             "fates": lambda: {
-                motion: claims.fates_by_damping(
+                motion: motions.fates_by_damping(
                     claims.MOTIONS[motion],
                     (100.0, damping, 5000.0) if motion.startswith("figure_14") else dampings,
                     cancelled,
@@ -265,14 +282,8 @@ class Workshop:
                     disturbance_m=motion.disturbance_m,
                     disturbance_seed=claims.SEED,
                 )
-            result = claims.fate(motion, self.damping, cancelled)
-            if motion.scenario == "six_bead":
-                result["oscillation"] = claims.oscillation(recording)
-            deviation = recording.deviation_from_centre
-            change = abs(deviation - deviation[0]).max(axis=1)
-            result["recorded"] = float(change.max())
-            lost = recording.turns[change > claims.LOST]
-            result["lost_after"] = float(lost[0]) if lost.size else None
+            result = motions.outcome(of, motion, recording, cancelled)
+            result["pulling"] = pulling.instead(motion, self.damping, cancelled)
             bag.rename(self._bag(name))
         return result
 

@@ -46,7 +46,7 @@ class Confirmation:
         Largest |d_i| of Eq. (53), measured from the frame's origin and from the instantaneous
         centre of mass.
     switches : int
-        Slack/taut switches of the disturbed motion.
+        Switches of the disturbed motion, see `FloquetResult`.
     pushing_share : float
         Share of the time that its taut tethers push.
     turns : ndarray, shape (k,)

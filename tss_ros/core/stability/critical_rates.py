@@ -1,4 +1,4 @@
-"""Critical spin rates: where in an interval tethers first go slack or stability is lost."""
+"""Critical spin rates: where in an interval tethers first let go or stability is lost."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SLOWEST = 0.05
 
 @dataclass(frozen=True)
 class CriticalRate:
-    """A boundary of stability, or of the range where no tether ever goes slack.
+    """A boundary of stability, or of the range where no tether ever lets go.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class CriticalRate:
     uncertainty : float
         Half the width of the bracket, whose ends were found different.
     cause : str
-        One of `CAUSES`: "first slack" if tethers go slack on one side and on the other do not, or
-        stop pulling where their law never pushes (the motion may stay stable a little further);
-        else the family that leaves the unit circle.
+        One of `CAUSES`: "first slack" if tethers let go on one side and on the other do not, that
+        is, go slack or, where their law never pushes, stop pulling (the motion may stay stable a
+        little further); else the family that leaves the unit circle.
     stable_side : int
         +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
     pushing_share : float
