@@ -25,6 +25,7 @@ from tss_ros.core.motion.step_control import (
     TOO_SMALL,
     StepSettings,
 )
+from tss_ros.core.numerics.loops import assign
 from tss_ros.core.numerics.radau_tables import Tables
 from tss_ros.core.numerics.simd import WIDTH, allocating
 
@@ -92,8 +93,8 @@ def _sample(arrays, tables, motion, samples):
         if at.last_kind == EXPLICIT:
             taylor_motion.evaluate(motion.series, now - at.step_start, v, r)
         else:
-            v[:] = motion.start_v
-            r[:] = motion.start_r
+            assign(v, motion.start_v)
+            assign(r, motion.start_r)
             if at.step_size > 0.0:
                 fraction = (now - at.step_start) / at.step_size
                 step.interpolate(tables, motion.dv, fraction, v)

@@ -7,7 +7,7 @@ import numpy as np
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.radau_motion import filtered_error, multiply
 from tss_ros.core.numerics.block_lu import factor_wide, solve_wide
-from tss_ros.core.numerics.loops import add
+from tss_ros.core.numerics.loops import add, assign
 from tss_ros.core.numerics.simd import allocating, allocating_contracted
 
 #: Axes whose variations are coupled: all of them, or, along a motion that stays in the orbit plane,
@@ -102,7 +102,8 @@ def _solve_stages(symbolic, tables, h, axes, stages, x_v, x_r, zx):
     for i in range(n):
         for j in range(s):
             for p in range(a):
-                zx[i, j, axes[p]] = right[i, j * a + p]
+                for c in range(k):
+                    zx[i, j, axes[p], c] = right[i, j * a + p, c]
 
 
 @allocating_contracted
@@ -149,6 +150,7 @@ def vary(arrays, symbolic, tables, settings, step, newton, x_v, x_r):
             add(b_r[i], weight[j], zx[i, j])
     error = filtered_error(symbolic, tables, settings, h, newton, b_v, b_r)
     if error <= settings.tolerance:
-        x_v[:] = end_v
-        x_r[:] = end_r
+        for i in range(n):
+            assign(x_v[i], end_v[i])
+            assign(x_r[i], end_r[i])
     return error

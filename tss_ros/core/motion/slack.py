@@ -14,7 +14,7 @@ import numpy as np
 from tss_ros.core.model.forces import stretch, tensions
 from tss_ros.core.model.made import PULL, SQUARE, TETHER_SLOTS
 from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
-from tss_ros.core.numerics.loops import add
+from tss_ros.core.numerics.loops import add, assign
 from tss_ros.core.numerics.simd import (
     WIDTH,
     allocating,
@@ -58,9 +58,9 @@ def first_switch(arrays, tables, step, idle):
     r, v = step.r.copy(), step.v.copy()
     for j in range(s + 1):
         if j > 0:
-            r[:] = step.r
+            assign(r, step.r)
             add(r, 1.0, step.dr[j - 1])
-            v[:] = step.v
+            assign(v, step.v)
             add(v, 1.0, step.dv[j - 1])
         stretch(arrays, v, r, excess[j], growth)
         if not arrays.pushes:

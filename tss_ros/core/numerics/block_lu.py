@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from tss_ros.core.numerics.loops import add
+from tss_ros.core.numerics.loops import add, assign
 from tss_ros.core.numerics.simd import allocating, kernel
 
 
@@ -210,12 +210,12 @@ def factor_wide(symbolic, matrix):
     room = np.empty(matrix.shape[1:])
     for k in range(symbolic.order.size):
         inverse = matrix[symbolic.order[k]]
-        inverse[:] = np.linalg.inv(inverse)
+        assign(inverse, np.linalg.inv(inverse))
         first, last = symbolic.start[k], symbolic.start[k + 1]
         for p in range(first, last):
             low = matrix[symbolic.lower[p]]
             np.dot(low, inverse, room)
-            low[:] = room
+            assign(low, room)
             goal = symbolic.target_start[k] + (p - first) * (last - first)
             for q in range(first, last):
                 out = matrix[symbolic.target[goal + q - first]]
@@ -280,4 +280,4 @@ def _subtract_product(out, a, b, room):
 @allocating
 def _apply(inverse, y, room):
     np.dot(inverse, y, room)
-    y[:] = room
+    assign(y, room)
