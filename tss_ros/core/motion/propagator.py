@@ -132,16 +132,19 @@ class Integrator:
         Raises
         ------
         TssError
-            If there is none, or states are not finite or not ones of this system.
+            If there are none, or they are not finite or not ones of this system.
         IntegrationError
             If one of them cannot be continued.
         """
-        states = np.stack([velocity_m_s, position_m], axis=1).astype(float, copy=False)
-        if states.shape[2:] != (self.system.n, 3) or not np.isfinite(states).all():
+        shape = np.shape(position_m)
+        if np.shape(velocity_m_s) != shape or shape[1:] != (self.system.n, 3) or not shape[0]:
             raise TssError(
-                f"states of {self.system.n} beads need finite positions and velocities of shape"
-                f" (k, {self.system.n}, 3), got {np.shape(position_m)} and {np.shape(velocity_m_s)}"
+                f"states of {self.system.n} beads need positions and velocities of shape"
+                f" (k, {self.system.n}, 3), got {shape} and {np.shape(velocity_m_s)}"
             )
+        states = np.stack([velocity_m_s, position_m], axis=1).astype(float, copy=False)
+        if not (np.isfinite(states).all() and math.isfinite(stop)):
+            raise TssError("positions, velocities and the time must be finite")
         motion = self.begin(State(states[0, 1], states[0, 0]))
         k, status = integrate.advance_each(
             self.arrays, self.symbolic, self.tables, self.settings, motion,
