@@ -1,6 +1,6 @@
 """One command that measures everything: `make benchmarks`, or in an activated shell
 
-    python -m benchmarks [--only motion monodromy growth sweep middleware recording] [--output DIR]
+    python -m benchmarks [--only motion ensemble monodromy growth sweep middleware recording]
 
 writes benchmarks.json, benchmarks.md and benchmarks.png; sections that are not measured now keep
 what benchmarks.json says of them.
@@ -19,7 +19,7 @@ from benchmarks import problems, report
 from benchmarks.processes import ROOT, environment, machine, measured, peers_python
 from benchmarks.worker import solvers_of
 
-SECTIONS = ("motion", "monodromy", "growth", "sweep", "middleware", "recording")
+SECTIONS = ("motion", "ensemble", "monodromy", "growth", "sweep", "middleware", "recording")
 #: Case whose first answer in a fresh process is measured, and by whom.
 FIRST_CASE, FIRST = "A100", ("tss_ros", "heyoka, orbit frame")
 #: Compiling all of the integrator afresh takes minutes on a busy machine.
@@ -67,7 +67,8 @@ def section(name, python, options):
     """Measure one section."""
     wanted = options.cases or list(problems.CASES)
     if name == "motion":
-        cases = [c for c in (*problems.MOTIONS, *problems.LONG_MOTIONS) if c in wanted]
+        motions = (*problems.MOTIONS, *problems.LAW_MOTIONS, *problems.LONG_MOTIONS)
+        cases = [case for case in motions if case in wanted]
         return {"cases": compare(python, cases, options), "first_answer": first_answers(python)}
     if name == "monodromy":
         cases = [c for c in (*problems.TURNS, *problems.LONG_TURNS) if c in wanted]
@@ -116,7 +117,8 @@ def main():
             continue
         about["load_after"] = machine(python)["load"]
         about["took_s"] = round(time.monotonic() - begun, 1)
-        if (options.cases or options.solvers) and name in results:
+        partial = name in ("motion", "monodromy") and (options.cases or options.solvers)
+        if partial and name in results:
             for case, rows in found["cases"].items():
                 results[name]["cases"].setdefault(case, {}).update(rows)
             results[name]["machine"] = about

@@ -7,8 +7,38 @@ import os
 
 import numpy as np
 
+#: Radius of the equator that belongs to J2 [m], and the rate at which the Earth turns [rad/s].
+EQUATOR_M, EARTH_RATE_RAD_S = 6378137.0, 7.2921159e-5
 
-def _equations(problem, frame, real):
+
+def _oblate(problem, real, away, z, square):
+    """Acceleration by J2 of a bead at (away, z) from the Earth's centre."""
+    s, power = problem.system, real(-2.5)
+    mu = real(s.mean_motion_rad_s) ** 2 * real(s.orbit_radius_m) ** 3
+    flat = real(1.5) * real(s.law_parameters["j2"]) * mu * real(EQUATOR_M) ** 2 * square**power
+    tall = 5 * z * z / square
+    return [flat * (tall - 1) * away[0], flat * (tall - 1) * away[1], flat * (tall - 3) * z]
+
+
+def _dragged(problem, real, spin, up, position, velocity, square):
+    """Acceleration by drag in air that turns with the Earth, in the frame that turns at `spin`."""
+    import heyoka as hy
+
+    s, earth = problem.system, real(EARTH_RATE_RAD_S)
+    (x, y), (vx, vy, vz) = position, velocity
+    rate, radius = real(s.orbit_rate_rad_s), real(s.orbit_radius_m)
+    by_frame, by_orbit = rate + spin - earth, rate - earth
+    wind = (vx - by_frame * y - by_orbit * up[1], vy + by_frame * x + by_orbit * up[0], vz)
+    area, density, scale = (
+        real(s.law_parameters[name])
+        for name in ("drag_m2_per_kg", "air_density_kg_m3", "scale_height_m")
+    )
+    density = density * hy.exp((radius - hy.sqrt(square)) / scale)
+    push = real(-0.5) * area * density * hy.sqrt(hy.sum([w * w for w in wind]))
+    return [push * w for w in wind]
+
+
+def equations(problem, frame, real):
     """Equations of motion, and the functions whose zeros are switches; `par[k]` is 1 while taut."""
     import heyoka as hy
 
@@ -18,23 +48,33 @@ def _equations(problem, frame, real):
     r = [[symbol[f"r{axis}{i}"] for axis in "xyz"] for i in range(n)]
     v = [[symbol[f"v{axis}{i}"] for axis in "xyz"] for i in range(n)]
     rate, radius = real(system.orbit_rate_rad_s), real(system.orbit_radius_m)
+    law, mean_motion = system.law_parameters, real(system.mean_motion_rad_s)
+    oblate = real(1.5) * real(law["j2"]) * (real(EQUATOR_M) / radius) ** 2
     spin = real(problem.spin) if frame == "turning" else real(0.0)
     up = (real(0.0), radius)
     if frame == "turning":
         up = (radius * hy.sin(spin * hy.time), radius * hy.cos(spin * hy.time))
     a = []
-    for (x, y, z), (vx, vy, _) in zip(r, v):
+    for (x, y, z), (vx, vy, vz) in zip(r, v):
         away = (x + up[0], y + up[1])
         square = away[0] * away[0] + away[1] * away[1] + z * z
-        pull = rate**2 - rate**2 * radius**3 * square ** real(-1.5)
+        gravity = mean_motion**2 * radius**3 * square ** real(-1.5)
+        pull = mean_motion**2 * (1 + oblate) - gravity
         centrifugal, coriolis = spin * (spin + 2 * rate), 2 * (rate + spin)
         a.append(
             [
                 pull * away[0] + centrifugal * x + coriolis * vy,
                 pull * away[1] + centrifugal * y - coriolis * vx,
-                (pull - rate**2) * z,
+                -gravity * z,
             ]
         )
+        more = []
+        if law["j2"]:
+            more.append(_oblate(problem, real, away, z, square))
+        if law["drag_m2_per_kg"]:
+            more.append(_dragged(problem, real, spin, up, (x, y), (vx, vy, vz), square))
+        for extra in more:
+            a[-1] = [p + q for p, q in zip(a[-1], extra)]
     switches = []
     for k, (i, j) in enumerate(system.tether_ends):
         d = [p - q for p, q in zip(r[i], r[j])]
@@ -74,17 +114,24 @@ def _saltation(problem, integrator, k, became_taut):
     x[0, j] += jump / problem.system.mass_kg[j]
 
 
-def _integrate(problem, tolerance, frame, real, variations, **options):
-    """A function that runs the case and returns the integrator's final state."""
+def keep_machine_code():
+    """Let heyoka keep its machine code with the environment of the benchmarks, or not at all."""
     import heyoka as hy
 
     if os.environ.get("BENCHMARKS_COLD"):
         hy.llvm_state.set_diskcache_enabled(False)
     elif folder := os.environ.get("BENCHMARKS_CACHE"):
         hy.llvm_state.set_diskcache_path(folder)
-    equations, variables, switches = _equations(problem, frame, real)
+
+
+def _integrate(problem, tolerance, frame, real, variations, **options):
+    """A function that runs the case and returns the integrator's final state."""
+    import heyoka as hy
+
+    keep_machine_code()
+    system, variables, switches = equations(problem, frame, real)
     if variations:
-        equations = hy.var_ode_sys(equations, variables, order=1)
+        system = hy.var_ode_sys(system, variables, order=1)
 
     def toggle(k):
         def switched(integrator, direction):
@@ -100,7 +147,7 @@ def _integrate(problem, tolerance, frame, real, variations, **options):
 
     size = 6 * problem.n
     integrator = hy.taylor_adaptive(
-        equations,
+        system,
         np.zeros(size, dtype=real),
         pars=np.zeros(len(switches), dtype=real),
         tol=real(tolerance),

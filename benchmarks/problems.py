@@ -30,6 +30,21 @@ MOTIONS = {
 }
 MOTIONS["6-bead"] = (_SIX_BEAD, -2.9, 0.05, 10)
 LONG_MOTIONS = {f"{beads} beads": (cut(beads), -2.9, 0.05, 0.1) for beads in (30, 100, 300)}
+#: What else acts on A1 and B1: parameters of laws. The drag is that of a low orbit.
+LAWS = {
+    "J2": {"j2": 1.08263e-3},
+    "drag": {
+        "orbit_altitude_m": 400e3,
+        "drag_m2_per_kg": 0.02,
+        "air_density_kg_m3": 3e-12,
+        "scale_height_m": 58e3,
+    },
+}
+LAW_MOTIONS = {
+    f"{name} {law}": ({**MOTIONS[name][0], **parameters}, *MOTIONS[name][1:])
+    for law, parameters in LAWS.items()
+    for name in ("A1", "B1")
+}
 #: Undisturbed turns for the monodromy matrix.
 TURNS = {
     f"{name}{damping}": ({"damping_n_s_per_m": float(damping)}, rate, 0.0, 1)
@@ -38,7 +53,7 @@ TURNS = {
 }
 TURNS["6-bead turn"] = (_SIX_BEAD, -2.9, 0.0, 1)
 LONG_TURNS = {"30 beads turn": (cut(30), -2.9, 0.0, 1)}
-CASES = {**MOTIONS, **LONG_MOTIONS, **TURNS, **LONG_TURNS}
+CASES = {**MOTIONS, **LAW_MOTIONS, **LONG_MOTIONS, **TURNS, **LONG_TURNS}
 
 
 class Problem:

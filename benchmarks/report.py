@@ -108,6 +108,7 @@ def _picked(results, name, chosen):
 
 def _motion(results):
     short = _picked(results, "motion", problems.MOTIONS)
+    laws = _picked(results, "motion", problems.LAW_MOTIONS)
     long = _picked(results, "motion", problems.LONG_MOTIONS)
     lines = [
         "## Motion",
@@ -122,6 +123,13 @@ def _motion(results):
         *_table(short),
         "",
     ]
+    if laws:
+        lines += [
+            "A1 and B1 with the Earth's oblateness, and in an orbit 400 km high with drag:",
+            "",
+            *_table(laws),
+            "",
+        ]
     if long:
         lines += [
             "3-star rings of so many beads in all (10 kg each, 1450 N s/m from end to end), a tenth"
@@ -130,7 +138,7 @@ def _motion(results):
             *_table(long),
             "",
         ]
-    lines += [*_first_of({**short, **long}), ""]
+    lines += [*_first_of({**short, **laws, **long}), ""]
     if first := results["motion"].get("first_answer"):
         lines += ["| first answer of a fresh process [s], A100 | nothing compiled | cached |"]
         lines += ["|---|---:|---:|"]
@@ -155,6 +163,31 @@ def _monodromy(results):
         "",
         *_first_of(cases),
     ]
+    return lines
+
+
+def _ensemble(results):
+    found = results["ensemble"]
+    cases = found["cases"]
+    lines = [
+        f"## {found['count']} motions of the 3-star",
+        "",
+        "Motions a second of wall time / of processor time, one turn each, warm, every one"
+        " disturbed another way by as much as in the cases above, at the loosest tolerance"
+        " (of half decades)"
+        f" at which nine of ten have an error of at most {problems.MOTION_ERROR:g}.",
+        "",
+        "| | " + " | ".join(cases) + " |",
+        "|---|" + "---:|" * len(cases),
+    ]
+    for way in next(iter(cases.values())):
+        cells = (
+            f"{row[way]['per_s']:.0f} / {row[way]['per_processor_s']:.0f}"
+            if "per_s" in row[way]
+            else row[way]["note"]
+            for row in cases.values()
+        )
+        lines.append("| " + " | ".join([way, *cells]) + " |")
     return lines
 
 
@@ -217,6 +250,7 @@ def _recording(results):
 
 PARTS = {
     "motion": _motion,
+    "ensemble": _ensemble,
     "monodromy": _monodromy,
     "growth": _growth,
     "sweep": _sweep,

@@ -60,6 +60,14 @@ MOTION = {
     "scipy DOP853, numpy": _peer(peers.scipy_numpy, loosest=9, method="DOP853"),
     "scipy LSODA, numpy": _peer(peers.scipy_numpy, loosest=9, method="LSODA"),
 }
+LAW_MOTION = {
+    name: MOTION[name]
+    for name in (
+        OURS,
+        *(name for name in MOTION if name.startswith("heyoka")),
+        *("CVODE Adams", "CyRK DOP853", "scipy DOP853, compiled"),
+    )
+}
 LONG_MOTION = {
     OURS: MOTION[OURS],
     "CVODE BDF": MOTION["CVODE BDF"],

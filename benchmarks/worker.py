@@ -27,6 +27,7 @@ def solvers_of(case):
     """The solvers that a case is measured with."""
     for cases, table in (
         (problems.MOTIONS, solvers.MOTION),
+        (problems.LAW_MOTIONS, solvers.LAW_MOTION),
         (problems.LONG_MOTIONS, solvers.LONG_MOTION),
         (problems.TURNS, solvers.MONODROMY),
         (problems.LONG_TURNS, solvers.LONG_MONODROMY),

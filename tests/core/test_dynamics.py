@@ -9,6 +9,7 @@ from paper import paper_acceleration
 from scipy.integrate import solve_ivp
 
 from tss_ros.core import (
+    IntegrationError,
     Propagator,
     State,
     TssError,
@@ -23,6 +24,8 @@ from tss_ros.core import (
 from tss_ros.core.model import forces
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import MU_EARTH
+from tss_ros.core.motion import propagator
+from tss_ros.core.motion.propagator import Integrator
 
 
 def kernel_acceleration(system, position, velocity, spin=0.0, time=0.0):
@@ -342,3 +345,23 @@ def test_bad_states_are_refused():
     motion = Propagator(system, -2.5, initial_state(system, -2.5))
     with pytest.raises(TssError, match="increasing"):
         motion.sample(np.array([1.0, 0.5]))
+    integrator, one = Integrator(system, 1e-3, 1e-9, 5773.0), np.ones((1, 3, 3))
+    for r, v, stop, named in (
+        (one[:0], one[:0], 1.0, "shape"),
+        (one, one[0], 1.0, "shape"),
+        (one, one * np.inf, 1.0, "finite"),
+        (one, one, np.inf, "finite"),
+    ):
+        with pytest.raises(TssError, match=named):
+            integrator.ends(r, v, stop)
+
+
+def test_a_motion_of_many_that_cannot_be_continued_is_named(monkeypatch):
+    monkeypatch.setattr(propagator, "MOST_SWITCHES_PER_TURN", 3)
+    system = ring(damping_n_s_per_m=1.0)
+    start = initial_state(system, -2.2)
+    r = start.position_m + 10.0 * np.sin(np.arange(9.0)).reshape(3, 3)
+    r, v = np.stack([r, r]), np.stack([start.velocity_m_s] * 2)
+    integrator = Integrator(system, system.spin_rate_rad_s(-2.2), 1e-9, 5773.0)
+    with pytest.raises(IntegrationError, match="motion 0's tethers chatter at"):
+        integrator.ends(r, v, 1e4)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks import peers, problems, processes, references, report, solvers, worker
+from benchmarks import ensemble, peers, problems, processes, references, report, solvers, worker
+from tss_ros.core import initial_state
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,18 @@ def test_matrices_of_both_frames_are_scaled_alike():
     )
 
 
+def test_motions_of_an_ensemble_are_those_of_each_by_itself():
+    """In one call, on threads and one after another; each start is disturbed as much."""
+    problem = ensemble.one_turn("B1")
+    x = ensemble.starts(problem, "B1", 5)
+    offset = x[:, 1] - initial_state(problem.system, -2.2).position_m
+    np.testing.assert_allclose(np.linalg.norm(offset, axis=(1, 2)), 10.0)
+    one = ensemble.ours(problem, 1e-10, x, None)()
+    for threads in (1, 2):
+        many = ensemble.ours_at_once(problem, 1e-10, x, None, threads)()
+        assert ensemble.distances(problem, many, one).max() < 1e-12
+
+
 def test_a_report_names_the_quickest_that_is_right(measured, tmp_path):
     about = {
         "date": "today",
@@ -99,9 +112,14 @@ def test_a_report_names_the_quickest_that_is_right(measured, tmp_path):
         "A2000": {solvers.OURS: measured, "CVODE BDF": slower, "CyRK Radau": wrong},
     }
     results = json.loads(json.dumps({"motion": {"cases": cases, "machine": about}}))
+    row = {"per_s": 1000.0, "per_processor_s": 1234.5}
+    failed = {"note": "not accurate enough"}
+    cases = {"A1": {"one": row, "other": row}, "B1": {"one": row, "other": failed}}
+    results["ensemble"] = {"count": 7, "cases": cases, "machine": about}
     report.write(results, tmp_path)
     text = (tmp_path / "benchmarks.md").read_text()
     assert "2 times faster than the next, CVODE BDF" in text and "wrong: 5e-01" in text
     assert "B100: not solved to this error here; first is CVODE BDF" in text
+    assert "| other | 1000 / 1234 | not accurate enough |" in text
     assert (tmp_path / "benchmarks.png").stat().st_size > 10_000
     assert worker.solvers_of("A2000") is solvers.MOTION

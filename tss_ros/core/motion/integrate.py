@@ -6,11 +6,11 @@ Two kinds of steps take turns; `step_control` says which is next, and how long i
 import numpy as np
 
 from tss_ros.core.model.forces import stretch, tensions
-from tss_ros.core.model.frames import to_orbit_frame
+from tss_ros.core.model.frames import to_orbit_frame, to_turning_frame
 from tss_ros.core.model.kernel_arrays import KernelArrays
 from tss_ros.core.motion import step, step_control, taylor_motion
 from tss_ros.core.motion.slack import toggle
-from tss_ros.core.motion.state import PROGRESS, IntegratorState
+from tss_ros.core.motion.state import PROGRESS, IntegratorState, Samples
 from tss_ros.core.motion.step_control import (
     ANY_STEP,
     AT_ONCE,
@@ -27,7 +27,7 @@ from tss_ros.core.motion.step_control import (
 )
 from tss_ros.core.numerics.loops import assign
 from tss_ros.core.numerics.radau_tables import Tables
-from tss_ros.core.numerics.simd import WIDTH, allocating
+from tss_ros.core.numerics.simd import WIDTH, allocating, kernel
 
 #: Outcomes of `advance`.
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
@@ -49,7 +49,7 @@ def begin(
     ----------
     arrays, tables, settings : KernelArrays, Tables, StepSettings
     v, r : ndarray, shape (n, 3)
-        Velocities [m/s] and positions [m] in the turning frame.
+        Velocities [m/s] and positions [m] in the orbit frame.
     first_step : float
         [s] first implicit step size to try.
 
@@ -58,30 +58,51 @@ def begin(
     IntegratorState
     """
     n, m, s = r.shape[0], arrays.rest.size, tables.stages
-    excess, growth = np.empty(m), np.empty(m)
-    stretch(arrays, v, r, excess, growth)
-    # Eq. (5), and at the rest length whichever mode the motion is about to be in.
-    longer = (excess > 0.0) | ((excess == 0.0) & (growth > 0.0)) | arrays.bilateral
-    pull = np.empty(m)
-    tensions(arrays, v, r, pull)
-    idle = longer & (pull < 0.0) & (not arrays.pushes)
-    progress = np.zeros(1, dtype=PROGRESS)
-    progress["implicit_size"], progress["newton_limit"] = first_step, ANY_STEP
-    progress["next_kind"] = IMPLICIT if settings.kind == IMPLICIT else EXPLICIT
-    return IntegratorState(
-        progress=progress,
-        taut=longer & ~idle,
-        idle=idle,
-        v=np.array(v, dtype=float),
-        r=np.array(r, dtype=float),
-        start_v=np.array(v, dtype=float),
-        start_r=np.array(r, dtype=float),
-        dv=np.zeros((s, n, 3)),
-        dr=np.zeros((s, n, 3)),
+    state, steps, none = (n, 3), (s, n, 3), (n, 3, 0)
+    motion = IntegratorState(
+        progress=np.zeros(1, dtype=PROGRESS),
+        taut=np.empty(m, dtype=bool),
+        idle=np.empty(m, dtype=bool),
+        v=np.empty(state),
+        r=np.empty(state),
+        start_v=np.empty(state),
+        start_r=np.empty(state),
+        dv=np.zeros(steps),
+        dr=np.zeros(steps),
         series=np.zeros((-(-n // WIDTH), settings.order + 1, 3, WIDTH)),
-        x_v=np.zeros((n, 3, 0)),
-        x_r=np.zeros((n, 3, 0)),
+        x_v=np.empty(none),
+        x_r=np.empty(none),
     )
+    _start(arrays, settings, motion, v, r, first_step, np.empty(m), np.empty(m))
+    return motion
+
+
+@kernel
+def _start(arrays, settings, motion, v, r, first_step, excess, growth):
+    """Set a motion to time 0 and a state v, r (n,3) of the orbit frame; excess, growth: room."""
+    at = motion.progress[0]
+    at.time = at.step_start = at.step_size = at.dissipation = 0.0
+    at.steps = at.rejected = at.newton_iterations = at.switches = at.sampled = 0
+    at.last_kind = at.doubts = at.hold = at.backoff = 0
+    at.implicit_size, at.newton_limit = first_step, ANY_STEP
+    at.next_kind = IMPLICIT if settings.kind == IMPLICIT else EXPLICIT
+    for i in range(r.shape[0]):
+        for q in range(3):
+            motion.r[i, q], motion.v[i, q] = r[i, q], v[i, q]
+    to_turning_frame(arrays.spin, 0.0, motion.v, motion.r)
+    for i in range(r.shape[0]):
+        for q in range(3):
+            motion.start_r[i, q], motion.start_v[i, q] = motion.r[i, q], motion.v[i, q]
+    stretch(arrays, motion.v, motion.r, excess, growth)
+    # Eq. (5), and at the rest length whichever mode the motion is about to be in.
+    for k in range(excess.size):
+        longer = excess[k] > 0.0 or (excess[k] == 0.0 and growth[k] > 0.0) or arrays.bilateral
+        motion.taut[k], motion.idle[k] = longer, False
+    if not arrays.pushes:
+        tensions(arrays, motion.v, motion.r, excess)
+        for k in range(excess.size):
+            motion.idle[k] = motion.taut[k] and excess[k] < 0.0
+            motion.taut[k] = motion.taut[k] and not motion.idle[k]
 
 
 @allocating
@@ -182,3 +203,38 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
                 step_control.start_anew(at)
         if at.sampled < samples.times.size:
             _sample(arrays, tables, motion, samples)
+
+
+@allocating
+def advance_each(arrays, symbolic, tables, settings, motion, limits, first_step, states):
+    """Advance many motions one after another, each by itself.
+
+    Parameters
+    ----------
+    arrays, symbolic, tables, settings : KernelArrays, Symbolic, Tables, StepSettings
+    motion : IntegratorState
+        Room for each of them in turn; the last one stays.
+    limits : tuple of float, int, int
+        As `advance`; the time is finite.
+    first_step : float
+        [s] first implicit step size to try.
+    states : ndarray, shape (k, 2, n, 3)
+        Velocities and positions in the orbit frame: where they start, overwritten by where they
+        are at the end.
+
+    Returns
+    -------
+    int, int
+        The motion that could not be continued, or how many there are; and the last outcome.
+    """
+    m, status, none = arrays.rest.size, REACHED, np.empty((0, motion.v.shape[0], 3))
+    excess, growth = np.empty(m), np.empty(m)
+    samples = Samples(np.empty(0), none, none)
+    for k in range(states.shape[0]):
+        v, r = states[k, 0], states[k, 1]
+        _start(arrays, settings, motion, v, r, first_step, excess, growth)
+        status = advance(arrays, symbolic, tables, settings, motion, limits, samples)
+        if status != REACHED:
+            return k, status
+        to_orbit_frame(arrays.spin, motion.progress[0].time, motion.v, motion.r, v, r)
+    return states.shape[0], status

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
-from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
@@ -69,6 +68,7 @@ class Integrator:
         self.arrays = kernel_arrays(system, spin_rate_rad_s)
         self.symbolic = block_lu.analyse(system.n, system.tether_ends)
         self.tables = radau_tables.radau(stages)
+        self._no_samples = self.samples(np.empty(0))
         rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
         self.turn_s = 2.0 * math.pi / rate
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
@@ -102,8 +102,8 @@ class Integrator:
         TssError
             If the state is not finite or not one of this system.
         """
-        r = np.array(state.position_m, dtype=float)
-        v = np.array(state.velocity_m_s, dtype=float)
+        r = np.ascontiguousarray(state.position_m, dtype=float)
+        v = np.ascontiguousarray(state.velocity_m_s, dtype=float)
         if r.shape != (self.system.n, 3) or v.shape != r.shape:
             raise TssError(
                 f"a state of {self.system.n} beads needs positions and velocities of shape"
@@ -111,9 +111,47 @@ class Integrator:
             )
         if not (np.isfinite(r).all() and np.isfinite(v).all()):
             raise TssError("positions and velocities must be finite, got NaN or infinity")
-        v -= rigid_velocity(r, self.arrays.spin)
         first_step = FIRST_STEP * self.turn_s
         return integrate.begin(self.arrays, self.tables, self.settings, v, r, first_step)
+
+    def ends(self, position_m: np.ndarray, velocity_m_s: np.ndarray, stop: float) -> Samples:
+        """Where many motions are at a time, each by itself; threads may do this side by side.
+
+        Parameters
+        ----------
+        position_m, velocity_m_s : ndarray, shape (k, n, 3)
+            Where they are at time 0, in the orbit frame.
+        stop : float
+            [s]
+
+        Returns
+        -------
+        Samples
+            The time, and the velocities and positions (k, n, 3) in the orbit frame.
+
+        Raises
+        ------
+        TssError
+            If there are none, or they are not finite or not ones of this system.
+        IntegrationError
+            If one of them cannot be continued.
+        """
+        shape = np.shape(position_m)
+        if np.shape(velocity_m_s) != shape or shape[1:] != (self.system.n, 3) or not shape[0]:
+            raise TssError(
+                f"states of {self.system.n} beads need positions and velocities of shape"
+                f" (k, {self.system.n}, 3), got {shape} and {np.shape(velocity_m_s)}"
+            )
+        states = np.stack([velocity_m_s, position_m], axis=1).astype(float, copy=False)
+        if not (np.isfinite(states).all() and math.isfinite(stop)):
+            raise TssError("positions, velocities and the time must be finite")
+        motion = self.begin(State(states[0, 1], states[0, 0]))
+        k, status = integrate.advance_each(
+            self.arrays, self.symbolic, self.tables, self.settings, motion,
+            (float(stop), 2**62, MOST_SWITCHES_PER_TURN), FIRST_STEP * self.turn_s, states,
+        )
+        _check(status, motion, f"motion {k}")
+        return Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
 
     def advance(
         self,
@@ -144,19 +182,12 @@ class Integrator:
             If steps become too small or switches too many.
         """
         if samples is None:
-            samples = self.samples(np.empty(0))
+            samples = self._no_samples
         status = integrate.advance(
             self.arrays, self.symbolic, self.tables, self.settings, motion,
             (float(stop), steps, MOST_SWITCHES_PER_TURN), samples,
         )
-        where = f"at {motion.time:.6g} s, after {motion.steps} steps"
-        if status == integrate.STEP_TOO_SMALL:
-            raise IntegrationError(f"the motion could not be continued {where}: steps too small")
-        if status == integrate.TOO_MANY_SWITCHES:
-            raise IntegrationError(
-                f"tethers chatter {where}: more than {MOST_SWITCHES_PER_TURN} slack/taut switches"
-                " without progress"
-            )
+        _check(status, motion, "the motion")
         return status == integrate.REACHED
 
     @property
@@ -171,6 +202,19 @@ class Integrator:
     def samples(self, times: np.ndarray) -> Samples:
         """Room for the states at some times (k,) [s]."""
         return Samples(times, *np.empty((2, times.size, self.system.n, 3)))
+
+
+def _check(status, motion, which):
+    """Turn a failure of a motion into an error."""
+    if status in (integrate.REACHED, integrate.PAUSED):
+        return
+    where = f"at {motion.time:.6g} s, after {motion.steps} steps"
+    if status == integrate.STEP_TOO_SMALL:
+        raise IntegrationError(f"{which} could not be continued {where}: steps too small")
+    raise IntegrationError(
+        f"{which}'s tethers chatter {where}: more than {MOST_SWITCHES_PER_TURN} slack/taut switches"
+        " without progress"
+    )
 
 
 class Propagator:

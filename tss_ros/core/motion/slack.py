@@ -23,6 +23,7 @@ from tss_ros.core.numerics.simd import (
     kernel,
     leaf,
     load,
+    load3,
     number,
     smaller,
     splat,
@@ -31,6 +32,11 @@ from tss_ros.core.numerics.simd import (
 
 #: From one order of `Series.tethers` to the next.
 ORDER = TETHER_SLOTS * WIDTH
+#: Rows of `Series.margin` in which zeros are searched: the sign of a margin that is searched, or 0;
+#: where, from where, to where [s]; and what it is there, and its rate.
+TIME, SEARCHED, LOW, HIGH, VALUE, SLOPE = 3, 5, 6, 7, 8, 9
+#: A step of Newton's method this short, relative to the step of the motion, is the last one.
+SURE = 1e-8
 #: Series of tensions have so many orders less than those of positions.
 SHORTER = 2
 
@@ -136,18 +142,21 @@ def _first_guard(rest, pushes, taut, idle, series, h, at_rest):
             margin[2, lane], margin[3, lane] = min(h, 1.3 * guess), guess
             open_lanes += 1
         while open_lanes > 0:
-            lowest = _to_bernstein(series, first, size)
+            lowest, searched = _to_bernstein(series, first, size), 0
             store(margin, 4 * WIDTH, lowest)
             for lane in range(min(WIDTH, rest.size - WIDTH * block)):
-                sign, part = margin[0, lane], margin[2, lane]
-                if sign == 0.0:
-                    continue
-                k, zero = WIDTH * block + lane, np.inf
-                if margin[4, lane] < 0.0:
-                    zero = _zero_of_series(rest[k], series, k, h, first + lane, size, at_rest)
+                margin[SEARCHED, lane] = 0.0
+                if margin[0, lane] != 0.0 and margin[4, lane] < 0.0:
+                    searched += _bracket_zero(series, lane, size)
+            if searched > 0:
+                zero, lane = _earliest_zero(
+                    margin, series.e, series.tethers, rest, block, first, size, h, at_rest
+                )
                 if zero < earliest:
-                    earliest, which = zero, k
-                if zero < np.inf or part >= h:
+                    earliest, which = zero, WIDTH * block + lane
+            for lane in range(min(WIDTH, rest.size - WIDTH * block)):
+                part = margin[2, lane]
+                if margin[0, lane] != 0.0 and part >= min(h, earliest):
                     margin[0, lane] = 0.0
                     open_lanes -= 1
                 margin[2, lane] = h
@@ -176,59 +185,107 @@ def _to_bernstein(series, first, size):
 
 
 @inlined
-def _zero_of_series(rest, series, k, h, first, size, at_rest):
-    """The first zero [s] of a tether's margin as `_to_bernstein` left it, infinity if none."""
-    lane, margin = k % WIDTH, series.margin
-    low, high, changes, positive = 0.0, margin[2, lane], 0, True
+def _bracket_zero(series, lane, size):
+    """Note where the first zero of a margin lies that `_to_bernstein` left; 0 if there is none."""
+    margin, changes, positive, zero = series.margin, 0, True, 0.0
+    low, high = 0.0, margin[2, lane]
     for i in range(1, size):
         if (series.bernstein[i, lane] >= 0.0) != positive:
             positive = not positive
             changes += 1
-    time, zero = margin[3, lane], 0.0
     if changes > 1:
         zero = first_zero(series.bernstein[:size, lane], series.pieces)
-        time, reach = zero * high, 1e-6 * high
-        low, high = max(0.0, time - reach), min(high, time + reach)
-    sign, scale = margin[0, lane], rest * rest
-    if not at_rest:
-        scale = abs(number(series.tethers, first)) + h * abs(number(series.tethers, first + ORDER))
-    for _ in range(60 if zero <= 1.0 else 0):
-        if at_rest:
-            value, slope = _square_at(series, k, time)
-            value -= scale
-        else:
-            value = slope = 0.0
-            for i in range(size - 1, -1, -1):
-                slope = slope * time + value
-                value = value * time + number(series.tethers, first + ORDER * i)
-        if abs(value) <= 8e-15 * scale or abs(value) <= 1e-15 * h * abs(slope):
-            break
-        if sign * value >= 0.0:
-            low = time
-        else:
-            high = time
-        before, time = time, time - value / slope if sign * slope < 0.0 else 0.5 * (low + high)
-        if not low <= time <= high:
-            time = 0.5 * (low + high)
-        if time == before:
-            break
-    return time if zero <= 1.0 else np.inf
+        margin[TIME, lane], reach = zero * high, 1e-6 * high
+        low, high = max(0.0, zero * high - reach), min(high, zero * high + reach)
+    if zero > 1.0:
+        return 0
+    margin[LOW, lane], margin[HIGH, lane] = low, high
+    margin[SEARCHED, lane] = margin[0, lane]
+    return 1
 
 
-@inlined
-def _square_at(series, k, time):
-    """Squared length of a tether and its rate at a time [s], from the very vectors that tell where
-    the beads are; the squares' own series is cut off elsewhere.
+@kernel
+def _earliest_zero(margin, e, tethers, rest, block, first, size, h, at_rest):
+    """The first of the zeros [s] that a block's margins are bracketed at, and its lane.
+
+    Newton's method for all lanes at once. One whose zero must be later than another's is left.
     """
-    size, x = series.r.shape[1], 0.0
-    y = z = vx = vy = vz = 0.0
-    first, step = 3 * WIDTH * size * (k // WIDTH) + k % WIDTH, 3 * WIDTH
-    for i in range(first + step * (size - 1), first - 1, -step):
-        vx, vy, vz = vx * time + x, vy * time + y, vz * time + z
-        x = x * time + number(series.e, i)
-        y = y * time + number(series.e, i + WIDTH)
-        z = z * time + number(series.e, i + 2 * WIDTH)
-    return x * x + y * y + z * z, 2.0 * (x * vx + y * vy + z * vz)
+    earliest, which, lanes = np.inf, -1, min(WIDTH, rest.size - WIDTH * block)
+    for _ in range(60):
+        _margins_at(margin, e, tethers, block, first, size, at_rest)
+        bound = earliest
+        for lane in range(lanes):
+            if margin[SEARCHED, lane] == 0.0:
+                continue
+            if _newton(margin, tethers, rest[WIDTH * block + lane], first, h, lane, at_rest):
+                margin[SEARCHED, lane] = 0.0
+                if margin[TIME, lane] < earliest:
+                    earliest, which = margin[TIME, lane], lane
+            bound = min(bound, earliest, margin[HIGH, lane])
+        left = 0
+        for lane in range(lanes):
+            if margin[LOW, lane] > bound:
+                margin[SEARCHED, lane] = 0.0
+            left += margin[SEARCHED, lane] != 0.0
+        if left == 0:
+            return earliest, which
+    for lane in range(lanes):
+        if margin[SEARCHED, lane] != 0.0 and margin[TIME, lane] < earliest:
+            earliest, which = margin[TIME, lane], lane
+    return earliest, which
+
+
+@leaf
+def _newton(margin, tethers, rest, first, h, lane, at_rest):
+    """Improve a lane's time by the margin there and its rate; whether it is exact to rounding."""
+    sign, time = margin[SEARCHED, lane], margin[TIME, lane]
+    value, slope = margin[VALUE, lane], margin[SLOPE, lane]
+    if at_rest:
+        scale = rest * rest
+        value -= scale
+    else:
+        start, rate = number(tethers, first + lane), number(tethers, first + ORDER + lane)
+        scale = abs(start) + h * abs(rate)
+    if abs(value) <= 8e-15 * scale or abs(value) <= 1e-15 * h * abs(slope):
+        return True
+    if sign * value >= 0.0:
+        margin[LOW, lane] = time
+    else:
+        margin[HIGH, lane] = time
+    low, high = margin[LOW, lane], margin[HIGH, lane]
+    there = time - value / slope if sign * slope < 0.0 else -1.0
+    if low <= there <= high:
+        # What such a step leaves is of the order of its square, far below rounding.
+        exact = abs(there - time) <= SURE * h
+    else:
+        there = 0.5 * (low + high)
+        exact = there == time
+    margin[TIME, lane] = there
+    return exact
+
+
+@leaf
+def _margins_at(margin, e, tethers, block, first, size, at_rest):
+    """Squared lengths, or tensions over length, and their rates at each lane's time [s].
+
+    Squared lengths are of the very vectors that tell where the beads are; the squares' own series
+    is cut off elsewhere.
+    """
+    time = load(margin, TIME * WIDTH)
+    x = y = z = vx = vy = vz = splat(0.0)
+    if at_rest:
+        for i in range(size - 1, -1, -1):
+            ax, ay, az = load3(e, 3 * WIDTH * (size * block + i))
+            vx, vy, vz = vx * time + x, vy * time + y, vz * time + z
+            x, y, z = x * time + ax, y * time + ay, z * time + az
+        vx = 2.0 * (x * vx + y * vy + z * vz)
+        x = x * x + y * y + z * z
+    else:
+        for i in range(size - 1, -1, -1):
+            vx = vx * time + x
+            x = x * time + load(tethers, first + ORDER * i)
+    store(margin, VALUE * WIDTH, x)
+    store(margin, SLOPE * WIDTH, vx)
 
 
 @kernel

@@ -25,7 +25,16 @@ from tss_ros.core.motion.step_control import (
 )
 from tss_ros.core.numerics.lane_arrays import in_lanes
 from tss_ros.core.numerics.loops import add, sum_of
-from tss_ros.core.numerics.simd import WIDTH, allocating, inlined, kernel, load, splat, store
+from tss_ros.core.numerics.simd import (
+    WIDTH,
+    allocating,
+    inlined,
+    inlined_by_llvm,
+    kernel,
+    load,
+    splat,
+    store,
+)
 
 #: Most attempts to end a step on a switch.
 MOST_ATTEMPTS = 6
@@ -128,7 +137,7 @@ def _guess(tables, old, offset, scale, base, newton):
                     dv[i, q] = term if k == 0 else dv[i, q] + term
 
 
-@kernel
+@inlined_by_llvm
 def explicit_step(arrays, settings, motion, room, stop):
     """One step by Taylor series, up to the first switch.
 

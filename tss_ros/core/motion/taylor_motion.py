@@ -21,6 +21,7 @@ from tss_ros.core.numerics.simd import (
     lane,
     load,
     load3,
+    number,
     only_where,
     splat,
     store,
@@ -35,15 +36,15 @@ class Links(NamedTuple):
     ----------
     start, stop : ndarray, shape (blocks,) and (blocks + 1,), int
         Range of entries of each block.
-    index : ndarray, shape (entries,), int
-        The bead or tether that acts.
+    place : ndarray, shape (entries,), int
+        Where the first number of the bead or tether that acts lies in its flat array.
     weight : ndarray, shape (entries, W)
         What each lane takes of it.
     """
 
     start: np.ndarray
     stop: np.ndarray
-    index: np.ndarray
+    place: np.ndarray
     weight: np.ndarray
 
 
@@ -64,7 +65,7 @@ class Series(NamedTuple):
         What the laws of beads need.
     tether : ndarray, shape (m/W, 7, W)
         1 where taut, stiffness, damping, rest length, and room for three components.
-    margin, bernstein, pieces : ndarray, shape (5, W), (N+1, W) and (DEEPEST + 2, N+3)
+    margin, bernstein, pieces : ndarray, shape (10, W), (N+1, W) and (DEEPEST + 2, N+3)
         Room for `slack`.
     ends : Links
         Which bead lies at which end of a block's tethers.
@@ -110,13 +111,13 @@ def blank(arrays, order):
     for a in range(tethers):
         for side in range(2):
             i, sign = arrays.ends[a, side], 1.0 - 2.0 * side
-            _link(ends, a, i, sign)
-            _link(pulls, i, a, -sign * arrays.inv_mass[i])
+            _link(ends, a, 3 * WIDTH * size * (i // WIDTH) + i % WIDTH, sign)
+            _link(pulls, i, ROWS * WIDTH * (a // WIDTH) + a % WIDTH, -sign * arrays.inv_mass[i])
     return Series(
         np.zeros((n, size, 3, WIDTH)), np.zeros((m, size, 3, WIDTH)),
         np.ones((m, size, TETHER_SLOTS, WIDTH)), np.zeros((n, size, BEAD_SLOTS, WIDTH)),
         np.zeros((m, ROWS, WIDTH)),
-        np.zeros((5, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
+        np.zeros((10, WIDTH)), np.zeros((size, WIDTH)), np.empty((DEEPEST + 2, size + 2)),
         ends, pulls,
     )  # fmt: skip
 
@@ -128,15 +129,15 @@ def _no_links(blocks, tethers):
 
 
 @kernel
-def _link(links, to, index, weight):
+def _link(links, to, place, weight):
     """Let a bead or tether take so much of a tether or bead."""
     block = to // WIDTH
     entry = links.start[block]
-    while entry < links.stop[block] and links.index[entry] != index:
+    while entry < links.stop[block] and links.place[entry] != place:
         entry += 1
     if entry == links.stop[block]:
         links.stop[block] += 1
-        links.index[entry] = index
+        links.place[entry] = place
     links.weight[entry, to % WIDTH] += weight
 
 
@@ -202,10 +203,10 @@ def _difference(series, block, k):
     r, ends = series.r, series.ends
     x = y = z = splat(0.0)
     for entry in range(ends.start[block], ends.stop[block]):
-        i, sign = ends.index[entry], load(ends.weight, WIDTH * entry)
-        x += sign * r[i // WIDTH, k, 0, i % WIDTH]
-        y += sign * r[i // WIDTH, k, 1, i % WIDTH]
-        z += sign * r[i // WIDTH, k, 2, i % WIDTH]
+        at, sign = ends.place[entry] + 3 * WIDTH * k, load(ends.weight, WIDTH * entry)
+        x += sign * number(r, at)
+        y += sign * number(r, at + WIDTH)
+        z += sign * number(r, at + 2 * WIDTH)
     store3(series.e, 3 * WIDTH * (block * series.e.shape[1] + k), x, y, z)
 
 
@@ -216,10 +217,10 @@ def _pull(series, block, k, share):
     now = 3 * WIDTH * (block * series.r.shape[1] + k)
     x, y, z = load3(series.r, now)
     for entry in range(pulls.start[block], pulls.stop[block]):
-        a, weight = pulls.index[entry], share * load(pulls.weight, WIDTH * entry)
-        x += weight * tether[a // WIDTH, 4, a % WIDTH]
-        y += weight * tether[a // WIDTH, 5, a % WIDTH]
-        z += weight * tether[a // WIDTH, 6, a % WIDTH]
+        at, weight = pulls.place[entry] + PULL, share * load(pulls.weight, WIDTH * entry)
+        x += weight * number(tether, at)
+        y += weight * number(tether, at + WIDTH)
+        z += weight * number(tether, at + 2 * WIDTH)
     store3(series.r, now, x, y, z)
 
 

@@ -54,6 +54,9 @@ inlined = njit(inline="always")
 #: and then inlined by LLVM.
 leaf = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)
 
+#: The same for the one large piece that is called once a step.
+inlined_by_llvm = _cached(fastmath={"contract"}, _nrt=False, forceinline=True)
+
 WIDTH = 4
 #: LLVM's type of a register.
 VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
