@@ -150,7 +150,7 @@ def _first_guard(rest, pushes, taut, idle, series, h, at_rest):
                     searched += _bracket_zero(series, lane, size)
             if searched > 0:
                 zero, lane = _earliest_zero(
-                    margin, series.e, series.tethers, rest, block, first, size, h, at_rest
+                    margin, series.e, series.tethers, rest, block, first, h, at_rest
                 )
                 if zero < earliest:
                     earliest, which = zero, WIDTH * block + lane
@@ -205,12 +205,13 @@ def _bracket_zero(series, lane, size):
 
 
 @kernel
-def _earliest_zero(margin, e, tethers, rest, block, first, size, h, at_rest):
+def _earliest_zero(margin, e, tethers, rest, block, first, h, at_rest):
     """The first of the zeros [s] that a block's margins are bracketed at, and its lane.
 
     Newton's method for all lanes at once. One whose zero must be later than another's is left.
     """
     earliest, which, lanes = np.inf, -1, min(WIDTH, rest.size - WIDTH * block)
+    size = e.shape[1] if at_rest else e.shape[1] - SHORTER
     for _ in range(60):
         _margins_at(margin, e, tethers, block, first, size, at_rest)
         bound = earliest
