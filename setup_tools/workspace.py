@@ -226,9 +226,6 @@ def build_packages(ros):
 def warm_cache(ros):
     """Compile the core ahead of its first use, into numba's cache beside the sources."""
     core = ROOT / "tss_ros" / "core"
-    # numba looks at the file of a function only, not at those of the functions compiled into it
-    for path in core.rglob("*.nb[ci]"):
-        path.unlink()
     if (core / "compile_cache.py").is_file():
         warm = [VENV / "bin" / "python", "-m", "tss_ros.core.compile_cache"]
         run("compiling the numerical core", "warm.log", [warm], environment(ros))

@@ -24,7 +24,16 @@ from tss_ros.core.model.made import (
     tension_and_slope_of_arrays,
 )
 from tss_ros.core.model.system import System
-from tss_ros.core.numerics.simd import kernel
+from tss_ros.core.numerics.simd import kernel, leaf
+
+
+@leaf
+def _tether(v, r, i, j):
+    """Vector e [m] between two beads, its length l [m] and l' [m/s], Eqs. (3) and (6)."""
+    ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
+    length = math.sqrt(ex * ex + ey * ey + ez * ez)
+    closing = ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
+    return ex, ey, ez, length, closing / length
 
 
 @kernel
@@ -56,11 +65,7 @@ def acceleration(arrays, taut, time, v, r, a):
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
-            ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
-            length = math.sqrt(ex * ex + ey * ey + ez * ez)
-            growth = (
-                ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
-            ) / length
+            ex, ey, ez, length, growth = _tether(v, r, i, j)
             pull = tension(
                 arrays, length, growth, arrays.rest[k], arrays.stiffness[k], arrays.damping[k]
             )
@@ -145,25 +150,15 @@ def stretch(arrays, v, r, excess, growth):
         Overwritten: [m] and [m/s].
     """
     for k in range(arrays.ends.shape[0]):
-        i, j = arrays.ends[k, 0], arrays.ends[k, 1]
-        ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
-        length = math.sqrt(ex * ex + ey * ey + ez * ez)
+        _, _, _, length, growth[k] = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
         excess[k] = length - arrays.rest[k]
-        growth[k] = (
-            ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
-        ) / length
 
 
 @kernel
 def tensions(arrays, v, r, pull):
     """Tension [N] that the law gives every tether, taut or not, of length l and rate l'."""
     for k in range(arrays.ends.shape[0]):
-        i, j = arrays.ends[k, 0], arrays.ends[k, 1]
-        ex, ey, ez = r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2]
-        length = math.sqrt(ex * ex + ey * ey + ez * ez)
-        growth = (
-            ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
-        ) / length
+        _, _, _, length, growth = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
         pull[k] = tension(
             arrays, length, growth, arrays.rest[k], arrays.stiffness[k], arrays.damping[k]
         )
