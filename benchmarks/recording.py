@@ -29,6 +29,7 @@ from rclpy.serialization import serialize_message
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
+from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.review import review
 from tss_ros.ros.messages import StepMessages, system_description
 from tss_ros.ros.topics import read_topics
@@ -46,6 +47,7 @@ def messages():
     propagator = Propagator(system, RATE, disturbed(start, 10.0, 1))
     position_m, velocity_m_s = propagator.sample(np.arange(POOL, dtype=float))
     length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+    _, rate_m_s = lengths_and_rates(system, position_m, velocity_m_s)
     deviations = deviation(position_m, radius_m)
     make = StepMessages(system, tension_n[0])
     steps = []
@@ -55,7 +57,7 @@ def messages():
             "tether_states": make.tether_states(i, ns, length_m[i], tension_n[i], taut[i]),
             "markers": make.markers(ns, position_m[i], tension_n[i], taut[i]),
             "bead_cloud": make.bead_cloud(ns, *place),
-            "tether_lengths": make.tether_lengths(ns, length_m[i], tension_n[i]),
+            "tether_lengths": make.tether_lengths(ns, length_m[i], rate_m_s[i], tension_n[i]),
             "bead_states": make.bead_states(i, ns, *place),
         }
         steps.append({name: bytes(serialize_message(part)) for name, part in parts.items()})

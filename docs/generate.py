@@ -247,7 +247,7 @@ def parameters():
 _FOREIGN_TOPICS = {
     "markers": "Beads and tethers, for RViz and Foxglove.",
     "bead_cloud": "Beads as points: x, y, z [m], deviation [-], speed [m/s].",
-    "tether_lengths": "Tethers as joints: position is the length [m], effort the tension [N].",
+    "tether_lengths": "Tethers as joints: position is the length [m], velocity its rate [m/s], effort the tension [N].",
     "/clock": "Simulation time, 10 to 200 times a second of wall time, also while paused.",
     "/diagnostics": "Once a second: the motion, slack tethers, recorders.",
     "/tf": "With `publish_tf`: `inertial` > `orbit` > every bead [m], at most 50 times a second"

@@ -177,7 +177,7 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
         "tether_states": make.tether_states(4, time_ns, ones, ones, ones > 0),
         "markers": make.markers(time_ns, state.position_m, ones, ones > 0),
         "bead_cloud": make.bead_cloud(time_ns, state.position_m, state.velocity_m_s, ones),
-        "tether_lengths": make.tether_lengths(time_ns, ones, ones),
+        "tether_lengths": make.tether_lengths(time_ns, ones, ones, ones),
         "simulation_events": simulation_event(time_ns, 4, 0, "reset", "time", "orbit"),
     }
     for name, message in messages.items():

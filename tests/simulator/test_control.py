@@ -9,6 +9,7 @@ from tss_interfaces.msg import Result, SimulationState
 from tss_interfaces.srv import (
     Disturb,
     GetSimulationState,
+    GetStates,
     ResetSimulation,
     RestoreSnapshot,
     SaveSnapshot,
@@ -45,7 +46,7 @@ def served(tmp_path_factory):
 @pytest.fixture
 def paused(served):
     """A simulator that stands at the beginning of a run."""
-    assert served.set(time_scale=100, **GIVEN, **dict.fromkeys(CHANGED)).successful
+    assert served.set(time_scale=0, **GIVEN, **dict.fromkeys(CHANGED)).successful
     if state_of(served) != SimulationState.STATE_PAUSED:
         served.pause()
     served.join()
@@ -86,14 +87,16 @@ def test_it_plays_pauses_steps_and_plays_on(paused):
     paused.do(StepSimulation, steps=7)
     assert paused.settled().step == first + 7
     assert state_of(paused) == SimulationState.STATE_PAUSED
+    assert paused.set(time_scale=100).successful
     paused.play()
     paused.wait_for_step(first + 20)
-    assert paused.refused(StepSimulation, steps=1)[0] == Result.RESULT_INCORRECT_STATE
+    assert paused.refused(StepSimulation, steps=1)[0] == Result.RESULT_OPERATION_FAILED
     already = SimulationState(state=SimulationState.STATE_PLAYING)
     answer = paused.ask(SetSimulationState, state=already)
     assert answer.result.result == SetSimulationState.Response.ALREADY_IN_TARGET_STATE
     paused.pause()
     stands = paused.settled().step
+    assert paused.set(time_scale=0).successful
     paused.do(StepSimulation, steps=100)
     assert paused.settled().step == stands + 100
     # Nothing that was done shows in the motion.
@@ -188,7 +191,8 @@ def test_stopping_resets_and_stands(paused):
     paused.set_state(SimulationState.STATE_STOPPED)
     assert motion(paused.settled()) == motion(paused.beads[0])
     assert state_of(paused) == SimulationState.STATE_STOPPED
-    assert paused.refused(StepSimulation, steps=1)[0] == Result.RESULT_INCORRECT_STATE
+    assert paused.refused(StepSimulation, steps=1)[0] == Result.RESULT_OPERATION_FAILED
+    assert paused.set(time_scale=100).successful
     paused.play()
     paused.wait_for_step(paused.beads[-1].step + 5)
     paused.pause()
@@ -217,8 +221,10 @@ def test_a_pushed_bead_moves_as_it_must(paused):
     paused.do(
         Disturb, bead="satellite_2", offset_m=request.offset_m, impulse_n_s=request.impulse_n_s
     )
-    after = paused.settled()
-    assert (after.step, after.header.stamp) == (before.step + 1, before.header.stamp)
+    after = paused.do(GetStates).beads
+    # It is no step: the next one shows it.
+    assert paused.settled() == before
+    assert (after.step, after.header.stamp) == (before.step, before.header.stamp)
     change = [
         np.reshape(np.subtract(a, b), (-1, 3))
         for a, b in (
@@ -230,13 +236,16 @@ def test_a_pushed_bead_moves_as_it_must(paused):
     np.testing.assert_allclose(change[1], [[0, 0, 0], [0, 0, 3], [0, 0, 0]], atol=1e-12)
     paused.do(StepSimulation, steps=50)
     end = paused.settled()
+    assert end.step == before.step + 50
+    stamps = [time_ns(message.header.stamp) for message in paused.beads]
+    assert stamps == [round(i * PERIOD_S * 1e9) for i in range(55)]
     unit = np.array([[0.0], [1.0], [0.0]])
     position_m, _ = propagated(
         before, [50 * PERIOD_S], unit * [0.0, 25.0, 0.0], unit * [0.0, 0.0, 3.0]
     )
     np.testing.assert_allclose(np.reshape(end.position_m, (-1, 3)), position_m[0], atol=1e-4)
     (event,) = paused.events
-    assert (event.kind, event.step, event.run) == ("disturb", after.step, paused.run)
+    assert (event.kind, event.step, event.run) == ("disturb", before.step + 1, paused.run)
     assert event.text == "satellite_2: offset [0.0, 25.0, 0.0] m, impulse [0.0, 0.0, 300.0] N s"
 
 
@@ -245,7 +254,7 @@ def test_random_disturbance_is_that_of_the_parameter(paused):
     paused.do(ResetSimulation)
     undisturbed = paused.settled()
     paused.do(Disturb, random_offset_m=12.0, seed=5)
-    disturbed = paused.settled()
+    disturbed = paused.do(GetStates).beads
     offset_m = np.subtract(disturbed.position_m, undisturbed.position_m)
     assert np.linalg.norm(offset_m) == pytest.approx(12.0, rel=1e-9)
     assert paused.set(disturbance_m=12, disturbance_seed=5).successful
@@ -381,6 +390,7 @@ def test_followers_of_the_clock_follow_through_pause_step_and_reset(paused):
         wait_for(lambda now: now == round(7 * PERIOD_S * 1e9))
         paused.do(ResetSimulation)
         wait_for(lambda now: now == 0)
+        assert paused.set(time_scale=100).successful
         paused.play()
         wait_for(lambda now: now > round(3 * PERIOD_S * 1e9))
         paused.pause()

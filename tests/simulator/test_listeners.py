@@ -8,6 +8,10 @@ import numpy as np
 import ros_harness
 from recorded import messages_by_topic, recorded_steps
 from rosgraph_msgs.msg import Clock
+from tss_interfaces.srv import Disturb, GetStates, StepSimulation
+
+from tss_ros.ros.topics import read_topics
+from tss_ros.simulator.sim_node import STATE_TOPICS
 
 SUBSCRIBER = f"""#!{sys.executable}
 import rclpy
@@ -96,3 +100,40 @@ def test_subscribers_that_stop_or_die_leave_no_gap(start, tmp_path):
     for topic in ("/bead_states", "/tether_states"):
         steps = recorded_steps(tmp_path / "bag", topic)
         assert steps == list(range(len(steps))) and len(steps) > 1000
+
+
+def test_who_comes_while_time_stands_still_gets_the_newest_step(start, client):
+    """Also what is made for viewers only, and nothing twice in a bag."""
+    node, spin_until = client
+    logger = start("logger_node", output="bag")
+    process = start("sim_node", start_paused=True, wait_for_recorder=True, publish_tf=False)
+    simulator = ros_harness.Simulator(node, spin_until)
+    simulator.do(StepSimulation, steps=4)
+    newest = simulator.settled()
+    with ros_harness.client_node() as (late, spin_late_until):
+        got = {name: [] for name in STATE_TOPICS}
+        for name, kept in got.items():
+            late.create_subscription(read_topics()[name].message_class, name, kept.append, 10)
+        spin_late_until(lambda: all(got.values()), 10, "the newest step on each topic")
+        assert got["bead_states"] == [newest]
+        assert got["tether_states"][0].step == newest.step
+        for name in ("bead_cloud", "tether_lengths"):
+            assert got[name][0].header.stamp == newest.header.stamp
+        joints, (a, b) = got["tether_lengths"][0], np.reshape(newest.position_m, (-1, 3))[:2]
+        u, v = np.reshape(newest.velocity_m_s, (-1, 3))[:2]
+        length_m = np.linalg.norm(a - b)
+        np.testing.assert_allclose(joints.position[0], length_m, rtol=1e-12)
+        np.testing.assert_allclose(joints.velocity[0], (a - b) @ (u - v) / length_m, atol=1e-9)
+    states = simulator.do(GetStates)
+    assert states.beads == newest and states.tethers == got["tether_states"][0]
+    simulator.do(Disturb, random_offset_m=1.0)
+    disturbed = simulator.do(GetStates).beads
+    shift_m = np.subtract(disturbed.position_m, newest.position_m)
+    np.testing.assert_allclose(np.linalg.norm(shift_m), 1.0, rtol=1e-9)
+    assert (disturbed.step, disturbed.header.stamp) == (newest.step, newest.header.stamp)
+    simulator.do(StepSimulation, steps=2)
+    simulator.settled()
+    assert logger.stop() == 0 and process.stop() == 0
+    assert " 0 lost" in logger.stdout
+    for topic in ("/bead_states", "/tether_states"):
+        assert recorded_steps(logger.directory / "bag", topic) == list(range(7))

@@ -58,7 +58,7 @@ class RecordedTopic:
         self._message_class = topic.message_class
         self._on_message = on_message
         self._next_number = None
-        self.newest_ns = None
+        self.newest, self.newest_ns = None, None
         self.subscription = node.create_subscription(
             topic.message_class, topic.name, self._take_waiting, topic.qos, raw=True
         )
@@ -187,6 +187,9 @@ class LoggerNode(TssNode):
             self.get_logger().warning(
                 f"{lost} messages of {topic.name} were lost, {self._lost} in all"
             )
+        if topic.every_step and data == topic.newest:
+            return  # a simulator that stands still repeats it for those who come late
+        topic.newest = data
         sent_ns = info["source_timestamp"]
         self._writer.write(topic.channel, data, self._newest_ns, sent_ns, (number or 0) % 2**32)
         if self._live:

@@ -9,7 +9,12 @@ from tss_interfaces.msg import SimulationState, SimulationStatus
 
 
 def of_simulator(
-    name: str, status: SimulationStatus, slack: Sequence[str], recorders: dict[str, tuple[int, int]]
+    name: str,
+    status: SimulationStatus,
+    late: bool,
+    resolution: float,
+    slack: Sequence[str],
+    recorders: dict[str, tuple[int, int]],
 ) -> DiagnosticArray:
     """Diagnostics of a simulator.
 
@@ -18,6 +23,10 @@ def of_simulator(
     name : str
         Fully qualified name of the node.
     status : SimulationStatus
+    late : bool
+        Whether the simulator has fallen behind.
+    resolution : float
+        What one step more or less makes of the real-time factor [-].
     slack : sequence of str
         Names of the tethers that are slack.
     recorders : dict of str to (int, int)
@@ -39,7 +48,7 @@ def of_simulator(
         for output, (steps, lost) in recorders.items()
     }
     tasks = {
-        "motion": (_motion(status), pace),
+        "motion": (_motion(status, late, resolution), pace),
         "tethers": (_tethers(slack), {"slack": ", ".join(slack)}),
         "recorders": (_recorders(recorders), behind),
     }
@@ -82,13 +91,14 @@ def of_recorder(
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])
 
 
-def _motion(status):
+def _motion(status, late, resolution):
     state = status.state.state
     if status.message:
         return DiagnosticStatus.ERROR, status.message
-    playing = state == SimulationState.STATE_PLAYING
-    if playing and status.real_time_factor < 0.9 * status.time_scale:
+    if late:
         return DiagnosticStatus.WARN, "slower than time_scale asks for"
+    if status.time_scale and status.real_time_factor > 1.1 * status.time_scale + resolution:
+        return DiagnosticStatus.WARN, "faster than time_scale asks for"
     names = {SimulationState.STATE_STOPPED: "stopped", SimulationState.STATE_PAUSED: "paused"}
     return DiagnosticStatus.OK, names.get(state, "playing")
 

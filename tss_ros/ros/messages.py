@@ -269,12 +269,13 @@ class StepMessages:
         return message
 
     def tether_lengths(
-        self, time_ns: int, length_m: np.ndarray, tension_n: np.ndarray
+        self, time_ns: int, length_m: np.ndarray, rate_m_s: np.ndarray, tension_n: np.ndarray
     ) -> JointState:
-        """JointState: position is the length [m], effort the tension [N]."""
+        """JointState: position is the length [m], velocity its rate [m/s], effort the tension [N]."""
         message = self._tether_lengths
         self._header.stamp = stamp(time_ns)
         message.position = _doubles(length_m)
+        message.velocity = _doubles(rate_m_s)
         message.effort = _doubles(tension_n)
         return message
 

@@ -17,6 +17,8 @@ from tss_ros.simulator.simulation import Sample, Setup, Simulation
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000
+#: Most requests that wait for the simulation; more are refused.
+MOST_REQUESTS = 1000
 #: How often [s] to ask `begin` whether the simulation may begin.
 BEGIN_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
@@ -97,8 +99,25 @@ class Control:
         self._drain_until = 0.0
         self._changing = []  # requests that are answered when the next state is out
         self._steps_left, self._steps_asked, self._stepping = 0, 0, None
+        self._pace.run(play)
+
+    @property
+    def moving(self) -> bool:
+        """Whether states follow each other."""
+        return self.state == PlayState.PLAYING or self._stepping is not None
+
+    @property
+    def begins_run(self) -> bool:
+        """Whether the next state goes out at once, as the first of a run."""
+        return bool(self._changing) or self.step < 0
 
     # --- for any thread
+
+    @property
+    def late(self) -> bool:
+        """Whether the simulation has fallen behind `time_scale` since the last call."""
+        lag_s = -self._pace.wait_s(self.simulation.next_time_s)
+        return self._pace.was_late() or (self.state == PlayState.PLAYING and lag_s > MAX_LAG_S)
 
     def request(self, work: Callable[..., None], *arguments: object) -> Future:
         """Have `work(*arguments)` called in between two steps.
@@ -112,6 +131,9 @@ class Control:
         with self._lock:
             if self._ended:
                 answer.set_exception(Refused(Code.INCORRECT_STATE, "the simulation has ended"))
+            elif len(self._requests) >= MOST_REQUESTS:
+                busy = f"it is busy: {MOST_REQUESTS} requests wait; ask again later"
+                answer.set_exception(Refused(Code.OPERATION_FAILED, busy))
             else:
                 self._requests.append((answer, work, arguments))
         self._wake.set()
@@ -132,14 +154,14 @@ class Control:
             raise Refused(Code.STATE_TRANSITION_ERROR, f"{self.failure}; reset first")
         self._end_stepping(f"{target.name.lower()} was asked for")
         self.state = target
-        self._pace.restart()
+        self._pace.run(target == PlayState.PLAYING)
         answer.set_result(None)
 
     def take_steps(self, answer: Future, steps: int) -> None:
         """Publish so many steps of a paused simulation."""
         if self.state != PlayState.PAUSED:
             raise Refused(
-                Code.INCORRECT_STATE, f"it is {self.state.name.lower()}; stepping needs paused"
+                Code.OPERATION_FAILED, f"it is {self.state.name.lower()}; stepping needs paused"
             )
         if self._stepping:
             raise Refused(Code.INCORRECT_STATE, "another request is stepping")
@@ -151,6 +173,8 @@ class Control:
         if self.failure:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
         self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
+        self._pace.hasten(self.simulation.next_time_s)
+        self._pace.run(True)
 
     def stop_and_reset(self, answer: Future, make_setup: Callable[[], Setup]) -> None:
         """Begin anew, and stand still there."""
@@ -158,6 +182,7 @@ class Control:
             raise Refused(Code.ALREADY_IN_TARGET_STATE, "it is stopped already")
         self.reset(answer, make_setup, time=True)
         self.state = PlayState.STOPPED
+        self._pace.run(False)
 
     def reset(self, answer: Future, make_setup: Callable[[], Setup] | None, time: bool) -> None:
         """Begin a new run.
@@ -185,11 +210,10 @@ class Control:
         self.failure = ""
         self._begin_run(answer)
 
-    def disturb(self, answer: Future, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
+    def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         self.simulation.disturb(offset_m, velocity_m_s)
         self.failure = ""
-        self._changing.append(answer)
 
     def save(self, answer: Future, file: str) -> None:
         """Write a snapshot."""
@@ -232,8 +256,7 @@ class Control:
     def _wait_s(self):
         """How long [s] until the next state may go out; 0 or less: now."""
         playing = self.state == PlayState.PLAYING and not self.failure
-        hurry = self._changing or self._stepping or self.step < 0
-        if not (playing or hurry):
+        if not (playing or self._stepping or self.begins_run):
             return math.inf
         if not self._begun:
             if not self._begin():
@@ -244,7 +267,7 @@ class Control:
             return math.inf
         if not self._flow.ready(drain=time.monotonic() < self._drain_until):
             return IDLE_S
-        if hurry:
+        if self.begins_run:
             return 0.0
         wait_s = self._pace.wait_s(self.simulation.next_time_s)
         if wait_s < -MAX_LAG_S:
@@ -253,12 +276,12 @@ class Control:
                 "records",
                 throttle_duration_sec=10.0,
             )
-            self._pace.restart()
+            self._pace.give_up(self.simulation.next_time_s)
         return wait_s
 
     def _publish_next(self):
         begun, before_ns = time.monotonic(), self.simulation.newest.time_ns
-        changed = bool(self._changing) or self.step < 0
+        begins_run = self.begins_run
         try:
             sample = self.simulation.take()
         except IntegrationError as error:
@@ -267,18 +290,20 @@ class Control:
         self.step += 1
         self._publish(self.step, sample)
         self._flow.published = self.step
-        if changed:
+        if begins_run:
             self._drain_until = 0.0
-            self._pace.restart()
+            self._pace.jump(sample.time_ns / 1e9)
             answers, self._changing = self._changing, []
             for answer in answers:
                 answer.set_result(None)
             return
+        self._pace.reached(sample.time_ns / 1e9)
         cost_s = time.monotonic() - begun + self.simulation.integration_s
         self.meter.add((sample.time_ns - before_ns) / 1e9, cost_s)
         if self._stepping:
             self._steps_left -= 1
             if not self._steps_left:
+                self._pace.run(False)
                 answer, self._stepping = self._stepping, None
                 answer.set_result(None)
 
@@ -288,6 +313,7 @@ class Control:
         self.failure = str(error)
         self._logger.error(f"{error}; it is paused and waits for a reset")
         self.state = PlayState.PAUSED
+        self._pace.run(False)
         self._end_stepping(self.failure)
 
     def _begin_run(self, answer):
@@ -298,6 +324,7 @@ class Control:
 
     def _end_stepping(self, why):
         if self._stepping:
+            self._pace.run(self.state == PlayState.PLAYING)
             made = self._steps_asked - self._steps_left
             answer, self._stepping = self._stepping, None
             answer.set_exception(

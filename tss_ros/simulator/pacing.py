@@ -9,7 +9,9 @@ MAX_LAG_S = 0.5
 
 
 class Pace:
-    """Says when a state is due; `time_scale` may be changed at any time, in any thread.
+    """A clock of simulation time that states must not overtake; for any thread.
+
+    It runs while states follow each other and stands while they do not.
 
     Parameters
     ----------
@@ -18,20 +20,71 @@ class Pace:
     """
 
     def __init__(self, time_scale: float) -> None:
-        self.time_scale = time_scale
-        self._held_scale = None
+        self._lock = threading.Lock()
+        self._scale, self._running = time_scale, False
+        self._time_s, self._read_at = 0.0, time.monotonic()
+        self._state_s, self._state_at = self._time_s, self._read_at
+        self._late = False
 
-    def restart(self) -> None:
-        """Count from the next time that `wait_s` is asked about."""
-        self._held_scale = None
+    @property
+    def time_scale(self) -> float:
+        """As given; what is set applies from then on."""
+        return self._scale
+
+    @time_scale.setter
+    def time_scale(self, value: float) -> None:
+        with self._lock:
+            self._read()
+            self._scale = value
+
+    def run(self, running: bool) -> None:
+        """Let the clock run, or stand."""
+        with self._lock:
+            self._read()
+            self._running = running
+
+    def jump(self, time_s: float) -> None:
+        """A state of this time [s] begins a run."""
+        with self._lock:
+            self._state_s, self._state_at = time_s, time.monotonic()
+            self._time_s, self._read_at = time_s, self._state_at
+
+    def reached(self, time_s: float) -> None:
+        """The state of this time [s] is out."""
+        with self._lock:
+            self._read()
+            self._state_s, self._state_at = time_s, self._read_at
+            self._time_s = max(self._time_s, time_s)
+
+    def hasten(self, time_s: float) -> None:
+        """Make time [s] due when it would be had the clock run since the last state."""
+        with self._lock:
+            self._read()
+            earned_s = self._state_s + (self._read_at - self._state_at) * self._scale
+            self._time_s = max(self._time_s, min(time_s, earned_s))
+
+    def give_up(self, time_s: float) -> None:
+        """Make time [s] due now: what is late will not be caught up with."""
+        with self._lock:
+            self._read()
+            self._time_s, self._late = time_s, True
 
     def wait_s(self, time_s: float) -> float:
         """How long [s] to wait until simulation time `time_s` is due; below 0 when it is late."""
-        now, scale = time.monotonic(), self.time_scale
-        if scale != self._held_scale:
-            self._held_scale, self._begin = scale, (now, time_s)
-        begin_wall_s, begin_s = self._begin
-        return begin_wall_s + (time_s - begin_s) / scale - now if scale else 0.0
+        with self._lock:
+            self._read()
+            return (time_s - self._time_s) / self._scale if self._scale else 0.0
+
+    def was_late(self) -> bool:
+        """Whether anything was given up since the last call."""
+        late, self._late = self._late, False
+        return late
+
+    def _read(self):
+        now = time.monotonic()
+        if self._running:
+            self._time_s += (now - self._read_at) * self._scale
+        self._read_at = now
 
 
 class Meter:

@@ -6,9 +6,11 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
+from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
 from tss_interfaces.srv import (
     Disturb,
     GetSimulationState,
+    GetStates,
     ResetSimulation,
     RestoreSnapshot,
     SaveSnapshot,
@@ -35,6 +37,8 @@ class SimulationServices:
     control : Control
     make_setup : callable
         Makes the Setup that the parameters describe.
+    newest_states : callable
+        Makes BeadStates and TetherStates of the newest state, in the simulation's thread.
     on_event : callable
         Called with kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
@@ -46,16 +50,19 @@ class SimulationServices:
         node: TssNode,
         control: Control,
         make_setup: Callable[[], Setup],
+        newest_states: Callable[[], tuple[BeadStates, TetherStates]],
         on_event: Callable[[str, str], None],
         on_answer: Callable[[], None],
     ) -> None:
         self._node, self._control, self._make_setup = node, control, make_setup
+        self._newest_states = newest_states
         self._on_event, self._on_answer = on_event, on_answer
         # Requests that wait for the simulation hold up neither each other nor anything else.
         group = ReentrantCallbackGroup()
         for kind, name, callback in (
             (SetSimulationState, "set_simulation_state", self._set_state),
             (GetSimulationState, "get_simulation_state", self._get_state),
+            (GetStates, "get_states", self._get_states),
             (StepSimulation, "step_simulation", self._step),
             (ResetSimulation, "reset_simulation", self._reset),
             (Disturb, "disturb", self._disturb),
@@ -69,6 +76,9 @@ class SimulationServices:
         response.result = messages.result(Code.OK, "")
         self._on_answer()
         return response
+
+    async def _get_states(self, _, response):
+        return await self._ask(response, self._do_get_states, response)
 
     async def _set_state(self, request, response):
         target = request.state.state
@@ -124,6 +134,10 @@ class SimulationServices:
 
     # --- in the simulation's thread
 
+    def _do_get_states(self, answer, response):
+        response.beads, response.tethers = self._newest_states()
+        answer.set_result(None)
+
     def _do_stop(self, answer):
         try:
             self._control.stop_and_reset(answer, self._make_setup)
@@ -131,24 +145,25 @@ class SimulationServices:
             raise
         except TssError as error:
             raise Refused(Code.STATE_TRANSITION_ERROR, str(error)) from error
-        self._on_event("reset", "time and state, stopped")
+        self._on_event(SimulationEvent.KIND_RESET, "time and state, stopped")
 
     def _do_reset(self, answer, time, state):
         self._control.reset(answer, self._make_setup if state else None, time)
         what = [name for name, asked in (("time", time), ("state", state)) if asked]
-        self._on_event("reset", " and ".join(what))
+        self._on_event(SimulationEvent.KIND_RESET, " and ".join(what))
 
     def _do_restore(self, answer, file):
         self._control.restore(answer, file)
-        self._on_event("restore", f"snapshot {file}")
+        self._on_event(SimulationEvent.KIND_RESTORE, f"snapshot {file}")
 
     def _do_disturb(self, answer, request):
         if request.bead:
             offset_m, velocity_m_s, text = self._bead_disturbance(request)
         else:
             offset_m, velocity_m_s, text = self._random_disturbance(request)
-        self._control.disturb(answer, offset_m, velocity_m_s)
-        self._on_event("disturb", text)
+        self._control.disturb(offset_m, velocity_m_s)
+        self._on_event(SimulationEvent.KIND_DISTURB, text)
+        answer.set_result(None)
 
     def _bead_disturbance(self, request):
         system = self._control.simulation.setup.system

@@ -11,6 +11,7 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
+from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.ros import diagnostics, frames, messages, parameters
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, read_topics
@@ -31,6 +32,8 @@ LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 #: Topics that are made only for those who listen.
 FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
+#: What a step consists of. A recorder that has got the last of them has got the whole step.
+STATE_TOPICS = ("tether_states", *FOR_VIEWERS, "bead_states")
 
 
 class SimNode(TssNode):
@@ -64,7 +67,7 @@ class SimNode(TssNode):
             wake,
             begin=self._may_begin,
             publish=self._publish,
-            on_idle=self._keep_clock,
+            on_idle=self._on_idle,
             logger=self.get_logger(),
             play=not self._options["start_paused"],
             batch=self._options["turns"] > 0.0,
@@ -74,7 +77,12 @@ class SimNode(TssNode):
             status.message_class, status.name, self._flow.on_status, status.qos
         )
         SimulationServices(
-            self, self._control, self._make_setup, self._on_event, self._report_status
+            self,
+            self._control,
+            self._make_setup,
+            self._newest_states,
+            self._on_event,
+            self._report_status,
         )
         self.every(RECORDER_CHECK_S, self._check_recorders)
         self.every(STATUS_PERIOD_S, self._report_regularly)
@@ -83,6 +91,7 @@ class SimNode(TssNode):
         self._clock_ns, self._clock_due, self._tf_due = None, -math.inf, -math.inf
         self._progress = time.monotonic()
         self._events = []
+        self._shown, self._listeners = None, {}
         self._describe(0, 0)
 
     def start(self) -> None:
@@ -104,8 +113,10 @@ class SimNode(TssNode):
             return SetParametersResult(successful=False, reason=str(error))
         outcome = super().set_parameters_atomically(parameter_list)
         if outcome.successful:
+            if options["time_scale"] != self._pace.time_scale:
+                self._pace.time_scale = options["time_scale"]
+                self._control.meter.read()  # which begins to measure anew
             self._options = options
-            self._pace.time_scale = options["time_scale"]
             # rclpy forgets what is set to nothing; here that means "as the scenario says".
             for parameter in parameters.SIMULATOR:
                 if not self.has_parameter(parameter.name):
@@ -140,6 +151,8 @@ class SimNode(TssNode):
     def _on_event(self, kind, text):
         self._events.append((kind, text))
         self.get_logger().info(f"{kind}: {text}")
+        if not self._control.begins_run:
+            self._publish_events(self._control.step + 1)
 
     def _describe(self, step, time_ns):
         """Announce a run that begins with this step."""
@@ -166,45 +179,53 @@ class SimNode(TssNode):
         )
 
     def _publish(self, step, sample):
-        publisher = self._publisher
         new_run = self._run != self._control.run
         if new_run:
             self._describe(step, sample.time_ns)
-        while self._events:
-            self._publish_event(step, sample.time_ns, *self._events.pop(0))
-        make, time_ns = self._messages, sample.time_ns
-        tethers = sample.tension_n, sample.taut
-        publisher["tether_states"].publish(
-            make.tether_states(step, time_ns, sample.length_m, *tethers)
-        )
-        watched = [name for name in FOR_VIEWERS if publisher[name].get_subscription_count()]
-        if "markers" in watched:
-            markers = make.clearing_markers if new_run else make.markers
-            publisher["markers"].publish(markers(time_ns, sample.position_m, *tethers))
-        beads = sample.position_m, sample.velocity_m_s, sample.deviation
-        if "bead_cloud" in watched:
-            publisher["bead_cloud"].publish(make.bead_cloud(time_ns, *beads))
-        if "tether_lengths" in watched:
-            publisher["tether_lengths"].publish(
-                make.tether_lengths(time_ns, sample.length_m, sample.tension_n)
-            )
-        # Last, so that a recorder that has got this one has got the whole step.
-        publisher["bead_states"].publish(make.bead_states(step, time_ns, *beads))
-        self._publish_frames(sample)
+        self._publish_events(step)
+        self._shown = step, sample, new_run
+        for name in STATE_TOPICS:
+            if name not in FOR_VIEWERS or self._publisher[name].get_subscription_count():
+                self._publish_state(name)
+        if "/tf" in self._publisher and time.monotonic() >= self._tf_due:
+            self._publish_frames()
         self._keep_clock()
         if time.monotonic() - self._progress > PROGRESS_PERIOD_S:
             self._progress = time.monotonic()
-            turns = time_ns / 1e9 / self._control.simulation.setup.turn_s
+            turns = sample.time_ns / 1e9 / self._control.simulation.setup.turn_s
             self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
 
-    def _publish_event(self, step, time_ns, kind, text):
-        self._publisher["simulation_events"].publish(
-            messages.simulation_event(time_ns, step, self._run, kind, text, self._frame_id)
-        )
+    def _publish_state(self, name):
+        """Publish what this topic says of the newest step."""
+        step, sample, new_run = self._shown
+        make, time_ns = self._messages, sample.time_ns
+        tethers = sample.tension_n, sample.taut
+        beads = sample.position_m, sample.velocity_m_s, sample.deviation
+        if name == "tether_states":
+            message = make.tether_states(step, time_ns, sample.length_m, *tethers)
+        elif name == "bead_states":
+            message = make.bead_states(step, time_ns, *beads)
+        elif name == "markers":
+            markers = make.clearing_markers if new_run else make.markers
+            message = markers(time_ns, sample.position_m, *tethers)
+        elif name == "bead_cloud":
+            message = make.bead_cloud(time_ns, *beads)
+        else:
+            system = self._control.simulation.setup.system
+            lengths = lengths_and_rates(system, sample.position_m, sample.velocity_m_s)
+            message = make.tether_lengths(time_ns, *lengths, sample.tension_n)
+        self._publisher[name].publish(message)
 
-    def _publish_frames(self, sample):
-        if "/tf" not in self._publisher or time.monotonic() < self._tf_due:
-            return
+    def _publish_events(self, step):
+        time_ns = self._control.simulation.newest.time_ns
+        while self._events:
+            kind, text = self._events.pop(0)
+            self._publisher["simulation_events"].publish(
+                messages.simulation_event(time_ns, step, self._run, kind, text, self._frame_id)
+            )
+
+    def _publish_frames(self):
+        sample = self._shown[1]
         self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
         transforms = frames.transforms(
             self._control.simulation.setup.system,
@@ -214,6 +235,36 @@ class SimNode(TssNode):
         )
         publisher = self._publisher["/tf"]
         publisher.publish(publisher.msg_type(transforms=transforms))
+
+    def _on_idle(self):
+        self._tell_latecomers()
+        return self._keep_clock()
+
+    def _tell_latecomers(self):
+        """Publish the newest step again for those who came while the simulation stands still."""
+        if self._shown is None:
+            return
+        names = [name for name in (*STATE_TOPICS, "/tf") if name in self._publisher]
+        listeners = {name: self._publisher[name].get_subscription_count() for name in names}
+        step, before = self._shown[0], self._listeners
+        self._listeners = {"step": step, **listeners}
+        if self._control.moving or before.get("step") != step:
+            return
+        for name in names:
+            if listeners[name] > before[name]:
+                self._publish_frames() if name == "/tf" else self._publish_state(name)
+
+    def _newest_states(self):
+        """BeadStates and TetherStates of the newest state, as messages of their own."""
+        control, setup = self._control, self._control.simulation.setup
+        make = messages.StepMessages(setup.system, setup.tension_n, self._frame_id)
+        step, sample = max(control.step, 0), control.simulation.newest
+        beads = sample.position_m, sample.velocity_m_s, sample.deviation
+        tethers = sample.length_m, sample.tension_n, sample.taut
+        return (
+            make.bead_states(step, sample.time_ns, *beads),
+            make.tether_states(step, sample.time_ns, *tethers),
+        )
 
     def _keep_clock(self):
         """Publish /clock if it may and should be; return how soon [s] to look again."""
@@ -262,6 +313,8 @@ class SimNode(TssNode):
             diagnostics.of_simulator(
                 self.get_fully_qualified_name(),
                 self._status,
+                self._control.late,
+                simulation.setup.publish_period_s / STATUS_PERIOD_S,
                 [names[i] for i in np.flatnonzero(~sample.taut) if i < len(names)],
                 {
                     output: (published - recorder.step, recorder.lost)

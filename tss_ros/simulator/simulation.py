@@ -256,8 +256,8 @@ class _Trajectory:
 class Simulation:
     """The motion of one system, state by state, with the changes that users may make to it.
 
-    Not for several threads at once. Every change takes effect at the newest state, `newest`, and
-    makes `take` return that changed state next.
+    Not for several threads at once. Every change takes effect at the newest state, `newest`. What
+    begins anew or is restored, `take` returns next; a disturbance shows in the state after it.
 
     Parameters
     ----------
@@ -328,7 +328,9 @@ class Simulation:
     def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         state = State(self.newest.position_m + offset_m, self.newest.velocity_m_s + velocity_m_s)
+        changed = self._changed
         self._begin(self.setup, state, self.newest.time_ns)
+        self._changed = changed
 
     def save(self, file: str) -> None:
         """Write a snapshot.

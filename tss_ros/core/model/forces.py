@@ -192,7 +192,7 @@ def tether_state(
     taut : ndarray, shape (..., m), bool
         Longer than the rest length, Eq. (5).
     """
-    length, growth = _lengths(system, position_m, velocity_m_s)
+    length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     taut = length > system.rest_length_m  # Eq. (5)
     pull, _ = tension_and_slopes(kernel_arrays(system, 0.0), length, growth)
     if not system.law.pushes:
@@ -204,7 +204,7 @@ def acting_tethers(
     system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
 ) -> np.ndarray:
     """Which tethers exert a force, the switch s of Eq. (5); shapes as `tether_state`, bool."""
-    length, growth = _lengths(system, position_m, velocity_m_s)
+    length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     acts = (length > system.rest_length_m) | system.bilateral
     if not system.law.pushes:
         acts &= tension_and_slopes(kernel_arrays(system, 0.0), length, growth)[0] >= 0.0
@@ -215,7 +215,7 @@ def elastic_energy(
     system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
 ) -> np.ndarray:
     """Elastic energy [J] of all taut tethers together; shapes as `tether_state`, result (...)."""
-    length, growth = _lengths(system, position_m, velocity_m_s)
+    length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)
     energy = energy_of_arrays(
         arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping
@@ -228,7 +228,9 @@ def pushing_share(tension_n: np.ndarray, taut: np.ndarray) -> float:
     return float(np.count_nonzero(taut & (tension_n < 0.0)) / max(np.count_nonzero(taut), 1))
 
 
-def _lengths(system, position_m, velocity_m_s):
+def lengths_and_rates(
+    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Lengths [m] and their rates [m/s], (..., m)."""
     first, second = system.tether_ends.T
     e = position_m[..., first, :] - position_m[..., second, :]
