@@ -1,25 +1,15 @@
 """Package tss_ros, for colcon (ament_python) and for pip alike."""
 
+import runpy
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 #: Executables of `ros2 run`, and the functions behind them.
-EXECUTABLES = {
-    "sim_node": "simulator.sim_node:main",
-    "stability_node": "stability_service.stability_node:main",
-    "logger_node": "recorder.logger_node:main",
-    "stability": "stability_service.client:main",
-    "sweep": "sweeps.command:main",
-    "demo": "runs.demo:main",
-    "reproduce": "reproduction.reproduce:main",
-    "review": "review.review:main",
-    "recover": "bags.recover:main",
-    "play": "recorder.play:main",
-    "summary": "bags.commands:summary",
-    "plot": "bags.commands:plot",
-    "export": "bags.commands:export",
-}
+EXECUTABLES = runpy.run_path(str(Path(__file__).with_name("tss_ros") / "executables.py"))[
+    "EXECUTABLES"
+]
 
 setup(
     name="tss_ros",
@@ -36,12 +26,12 @@ setup(
         ("share/tss_ros", ["package.xml"]),
         ("share/tss_ros/msg_configs", glob("msg_configs/*.yaml")),
         ("share/tss_ros/config", glob("config/*.yaml")),
-        ("share/tss_ros/launch", glob("launch/*.xml")),
+        ("share/tss_ros/launch", glob("launch/*.launch.*")),
         ("share/tss_ros/layouts", glob("layouts/*")),
     ],
     zip_safe=False,
     entry_points={
-        "console_scripts": [f"{name} = tss_ros.{place}" for name, place in EXECUTABLES.items()]
+        "console_scripts": [f"{name} = tss_ros.executables:{name}" for name in EXECUTABLES]
     },
     # rclpy and the message packages come with ROS 2 and are declared in package.xml.
     install_requires=[

@@ -247,7 +247,8 @@ def parameters():
 _FOREIGN_TOPICS = {
     "markers": "Beads and tethers, for RViz and Foxglove.",
     "bead_cloud": "Beads as points: x, y, z [m], deviation [-], speed [m/s].",
-    "tether_lengths": "Tethers as joints: position is the length [m], velocity its rate [m/s], effort the tension [N].",
+    "tether_lengths": "Tethers as joints: length [m], its rate [m/s] as velocity, tension [N] as"
+    " effort.",
     "/clock": "Simulation time, 10 to 200 times a second of wall time, also while paused.",
     "/diagnostics": "Once a second: the motion, slack tethers, recorders.",
     "/tf": "With `publish_tf`: `inertial` > `orbit` > every bead [m], at most 50 times a second"
@@ -350,9 +351,8 @@ def interfaces():
 
 
 def executables():
-    """Name and place of every executable, from setup.py."""
-    with mock.patch("setuptools.setup"):
-        return runpy.run_path(str(ROOT / "setup.py"))["EXECUTABLES"]
+    """Name and place of every executable."""
+    return runpy.run_path(str(PACKAGE / "executables.py"))["EXECUTABLES"]
 
 
 def commands():

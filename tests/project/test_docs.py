@@ -210,8 +210,8 @@ def test_citation_names_software_and_paper():
 
 
 def test_old_names_of_jobs_stand_in_the_changelog():
-    from tss_ros import core
+    from tss_ros.core.api import OLD_NAMES
 
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    for old, new in getattr(core, "_OLD_NAMES", {}).items():
+    for old, new in OLD_NAMES.items():
         assert f"`{new.__name__}`" in text and re.search(rf"`(tss_ros\.core\.)?{old}`", text)

@@ -1,16 +1,14 @@
-"""Files for launch, viewers and parameters: they fit the nodes."""
+"""Files for viewers and parameters: they fit the nodes."""
 
 import json
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import pytest
 import ros_harness
 import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from tss_ros import scenarios
-from tss_ros.ros import messages, parameters
+from tss_ros.ros import messages
 from tss_ros.ros.topics import read_topics
 from tss_ros.scenarios.scenario import shipped
 
@@ -48,28 +46,7 @@ def spin_rate_ratio(name):
     return yaml.safe_load(text)["spin_rate_ratio"]
 
 
-# --- what is shipped for launch and viewers
-
-
-def known_names():
-    return {p.name for p in (*parameters.SIMULATOR, *parameters.LOGGER)}
-
-
-@pytest.mark.parametrize("name", ["simulation", "review"])
-def test_launch_files_name_what_exists(name):
-    launch = ElementTree.parse(SHARE / "launch" / f"{name}.launch.xml").getroot()
-    arguments = {arg.get("name") for arg in launch.iter("arg")}
-    text = ElementTree.tostring(launch, encoding="unicode")
-    assert {part.split(")")[0] for part in text.split("$(var ")[1:]} == arguments
-    for node in launch.iter("node"):
-        assert node.get("pkg") == "tss_ros"
-        assert (SHARE.parent.parent / "lib" / "tss_ros" / node.get("exec")).exists()
-        for param in node.iter("param"):
-            assert param.get("from") == "$(var params_file)" or param.get("name") in known_names()
-    for executable in launch.iter("executable"):
-        ros2, verb, package, command, *_ = executable.get("cmd").split()
-        assert (ros2, verb, package) == ("ros2", "run", "tss_ros")
-        assert (SHARE.parent.parent / "lib" / "tss_ros" / command).exists()
+# --- what is shipped for viewers
 
 
 def test_layouts_show_what_is_published():

@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, TssError
-from tss_ros.ros import parameters
+from tss_ros.ros import parameters, systems
 
 SIMULATOR = (parameters.SIMULATOR,)
 
@@ -121,8 +121,8 @@ def test_parameters_of_the_other_nodes_may_stand_in_the_same_file(given):
 
 
 def test_systems_too_large_are_not_built():
-    parameters.build_system("three_star", {"satellites": 10, "beads_per_tether": 9}, 100)
+    systems.build_system("three_star", {"satellites": 10, "beads_per_tether": 9}, 100)
     with pytest.raises(TssError, match="make 110 satellites and beads; allowed: at most 100"):
-        parameters.build_system("three_star", {"satellites": 10, "beads_per_tether": 10}, 100)
+        systems.build_system("three_star", {"satellites": 10, "beads_per_tether": 10}, 100)
     with pytest.raises(TssError, match="make 106 satellites and beads; allowed: at most 100"):
-        parameters.build_system("three_star", {"beads_per_tether": [1, 2, 100]}, 100)
+        systems.build_system("three_star", {"beads_per_tether": [1, 2, 100]}, 100)

@@ -1,15 +1,18 @@
 """The simulator as a real process: what it publishes, when, by which names, and its parameters."""
 
+import array
 import math
 import time
 
 import numpy as np
 import pytest
 import ros_harness
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
-from rcl_interfaces.msg import Parameter, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import parameter_value_to_python
 from recorded import (
     ORBIT_RATE,
     PERIOD_S,
@@ -234,6 +237,14 @@ def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, cl
     simulator.join()
     assert list(simulator.descriptions[-1].mass_kg) == [5.0, 5.0, 5.0]
     assert simulator.descriptions[-1].header.frame_id == "orbit"
+    # One that has the scenario's value follows the scenario.
+    assert value_of(simulator, "satellite_mass_kg") == 5.0
+    assert simulator.set(satellite_mass_kg=100, scenario="three_star_50kg").successful
+    assert value_of(simulator, "satellite_mass_kg") == 100.0
+    assert simulator.set(satellite_mass_kg=50.0).successful
+    assert simulator.set(scenario="three_star_1000kg").successful
+    assert value_of(simulator, "satellite_mass_kg") == 1000.0
+    assert simulator.set(scenario="three_star").successful
     # A type that no parameter has.
     wrong = Parameter(name="time_scale", value=ParameterValue(type=99))
     good = Parameter(name="time_scale", value=ParameterValue(type=3, double_value=3.0))
@@ -243,6 +254,70 @@ def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, cl
     assert [result.successful for result in answer.results] == [True, False, True]
     assert "99" in answer.results[1].reason
     assert process.stop() == 0 and "rror" not in process.stderr
+
+
+def value_of(simulator, name):
+    """The value that the simulator has for a parameter."""
+    request = GetParameters.Request(names=[name])
+    node, spin_until = simulator.node, simulator.spin_until
+    answer = ros_harness.call(
+        node, spin_until, GetParameters, "/sim_node/get_parameters", request
+    )
+    return parameter_value_to_python(answer.values[0])
+
+
+def dumped(simulator):
+    """All parameters of the simulator, as `ros2 param dump` writes them."""
+    node, spin_until = simulator.node, simulator.spin_until
+    listed = ros_harness.call(
+        node, spin_until, ListParameters, "/sim_node/list_parameters", ListParameters.Request()
+    )
+    names = sorted(listed.result.names)
+    request = GetParameters.Request(names=names)
+    answer = ros_harness.call(
+        node, spin_until, GetParameters, "/sim_node/get_parameters", request
+    )
+    assert len(answer.values) == len(names)
+    assert all(value.type != ParameterType.PARAMETER_NOT_SET for value in answer.values)
+    return dict(zip(names, answer.values))
+
+
+def test_parameters_go_round(start, client, tmp_path):
+    """All of them have values: written to a file they start the same simulator, or are loaded."""
+    own = tmp_path / "own.yaml"
+    own.write_text(
+        "spin_rate_ratio: -5.0\norbit_altitude_m: 1.0e+6\nbodies:\n"
+        "  - {name: a, mass_kg: 100.0, position_m: [0.0, 5000.0, 0.0]}\n"
+        "  - {name: b, mass_kg: 100.0, position_m: [0.0, -5000.0, 0.0]}\n"
+        "tethers:\n  - {between: [a, b], length_m: 10000.0, axial_stiffness_n: 50000.0,"
+        " damping_n_s_per_m: 1450.0}\n"
+    )
+    given = {"spin_rate_ratio": -2, "satellites": 4, "satellite_mass_kg": [1.0, 2.0, 1.0, 2.0]}
+    first = start("sim_node", start_paused=True, turns=3, **given)
+    simulator = ros_harness.Simulator(*client)
+    values = dumped(simulator)
+    assert parameter_value_to_python(values["satellites"]) == 4
+    assert parameter_value_to_python(values["tether_length_m"]) == 10e3
+    assert parameter_value_to_python(values["spin_rate_ratio"]) == -2.0
+    # Another formation has other parameters, and all of them at once bring the first one back.
+    assert simulator.set(scenario="six_bead", **dict.fromkeys(given)).successful
+    assert value_of(simulator, "beads_per_tether") == 1
+    assert simulator.set(scenario=str(own)).successful
+    assert "satellites" not in dumped(simulator) and value_of(simulator, "spin_rate_ratio") == -5.0
+    load = [Parameter(name=name, value=value) for name, value in values.items()]
+    request = SetParameters.Request(parameters=load)
+    node, spin_until = client
+    answer = ros_harness.call(node, spin_until, SetParameters, "/sim_node/set_parameters", request)
+    assert all(result.successful for result in answer.results), answer.results
+    assert dumped(simulator) == values
+    assert first.stop() == 0, first.stderr
+    plain = {name: parameter_value_to_python(value) for name, value in values.items()}
+    plain = {n: list(v) if isinstance(v, array.array) else v for n, v in plain.items()}
+    file = tmp_path / "dump.yaml"
+    file.write_text(yaml.safe_dump({"/sim_node": {"ros__parameters": plain}}))
+    second = start("sim_node", "--params-file", str(file))
+    assert dumped(ros_harness.Simulator(*client)) == values
+    assert second.stop() == 0, second.stderr
 
 
 def test_diagnostics_tell_pace_slack_and_recorders(start, client):

@@ -38,16 +38,23 @@ class Client:
         )
         qos = QoSProfile(depth=1000)
         name = f"{self._services}/sweep"
-        self._sweeps = ActionClient(node, Sweep, name, feedback_sub_qos_profile=qos)
+        self._sweeps = ActionClient(node, Sweep, name)
+        # Not by the client, which takes no feedback any more once it has the result.
+        kind, self._told = Sweep.Impl.FeedbackMessage, {}
+        node.create_subscription(kind, f"{name}/_action/feedback", self._keep_feedback, qos)
         spin_until(self._sweeps.server_is_ready, ros_harness.START_S, "the action")
 
     def send(self, goal):
         """An accepted goal, its feedback as it comes, and a future of its result."""
-        feedback = []
-        sent = self._sweeps.send_goal_async(goal, lambda message: feedback.append(message.feedback))
+        sent = self._sweeps.send_goal_async(goal)
         self.spin_until(sent.done, 10, "the goal's acceptance")
-        assert sent.result().accepted
-        return sent.result(), feedback, sent.result().get_result_async()
+        handle = sent.result()
+        assert handle.accepted
+        told = self._told.setdefault(bytes(handle.goal_id.uuid), [])
+        return handle, told, handle.get_result_async()
+
+    def _keep_feedback(self, message):
+        self._told.setdefault(bytes(message.goal_id.uuid), []).append(message.feedback)
 
     def run(self, **fields):
         """Status, result and feedback of a goal."""

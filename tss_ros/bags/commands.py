@@ -1,6 +1,5 @@
 """What a bag says, as text, figures and tables: executables `summary`, `plot` and `export`."""
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import yaml
 
 from tss_ros import plots
 from tss_ros.bags.recording import Recording, read_bag
+from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.scenarios.laws import law_in_words, laws_in_words
 from tss_ros.scenarios.scenario import read_text
@@ -92,7 +92,7 @@ def describe(recording: Recording) -> str:
 
 
 def _run(name, description, argv, act, add_options=lambda parser: None):
-    parser = argparse.ArgumentParser(prog=name, description=description)
+    parser = Parser(prog=name, description=description)
     parser.add_argument("bag", type=Path, help="bag directory or .mcap file")
     parser.add_argument("--run", type=int, help="which run of a bag with several; default the last")
     add_options(parser)

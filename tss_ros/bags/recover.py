@@ -4,7 +4,6 @@ Every chunk that is intact is kept, also behind a damaged one. The damaged file 
 one as `<name>.mcap.damaged`, and is never changed.
 """
 
-import argparse
 import mmap
 import os
 import struct
@@ -27,6 +26,7 @@ from tss_ros.bags.writer import (
     finish,
     write_metadata,
 )
+from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 
 DAMAGED_SUFFIX = ".damaged"
@@ -256,7 +256,7 @@ def _free_name(path):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable `recover`: exit status 0, or 1 with one line why for each bag that failed."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="recover", description="Make whole bags of recordings that were cut short."
     )
     parser.add_argument("bag", type=Path, nargs="+", help="bag directory")

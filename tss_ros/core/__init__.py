@@ -3,72 +3,33 @@
 SI units. States are (n, 3) arrays in the orbit frame: y radially up, z along the orbit normal.
 """
 
+import importlib
 import warnings
+from typing import TYPE_CHECKING, Any
 
-from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
-from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
-from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
-from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
-from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
-from tss_ros.core.model.system import State, System
-from tss_ros.core.motion.propagator import Propagator
-from tss_ros.core.stability.confirmation import Confirmation, confirm
-from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
-from tss_ros.core.stability.floquet import compute_floquet
-from tss_ros.core.stability.modes import FAMILIES
-from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
-from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
+if TYPE_CHECKING:
+    from tss_ros.core.api import *  # noqa: F403
 
-__all__ = [
-    "CAUSES",
-    "FAMILIES",
-    "FORMATIONS",
-    "LAW_PARAMETERS",
-    "METHODS",
-    "TETHER_LAWS",
-    "VERDICTS",
-    "Cancelled",
-    "ConfirmationJob",
-    "Confirmation",
-    "CriticalRate",
-    "FloquetResult",
-    "IntegrationError",
-    "CriticalRatesJob",
-    "NoSteadyState",
-    "Propagator",
-    "FloquetJob",
-    "Satellite",
-    "State",
-    "System",
-    "Tether",
-    "TssError",
-    "assemble",
-    "averaged_state",
-    "compute_floquet",
-    "confirm",
-    "deviation",
-    "disturbed",
-    "elastic_energy",
-    "find_critical_rates",
-    "formation",
-    "initial_state",
-    "pushing_share",
-    "ring",
-    "sweep",
-    "tether_state",
-]
-
-#: Old names of jobs, kept for one release.
-_OLD_NAMES = {"Rate": FloquetJob, "Interval": CriticalRatesJob, "Check": ConfirmationJob}
+#: Where names are that need no numerical libraries; those take seconds to load.
+_QUICK = dict.fromkeys(("Cancelled", "IntegrationError", "NoSteadyState", "TssError"), "errors")
+_QUICK |= dict.fromkeys(("LAW_PARAMETERS", "TETHER_LAWS"), "model.laws")
 
 
-def __getattr__(name):
-    if name not in _OLD_NAMES:
+def __getattr__(name: str) -> Any:
+    """A public name, loaded when it is asked for."""
+    if name in _QUICK:
+        return getattr(importlib.import_module(f"{__name__}.{_QUICK[name]}"), name)
+    if name.startswith("_") and name != "__all__":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    new = _OLD_NAMES[name]
-    warnings.warn(
-        f"{__name__}.{name} is now {new.__name__}; the old name goes with the next release",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    return new
+    api = importlib.import_module("tss_ros.core.api")
+    if name in api.OLD_NAMES:
+        value = api.OLD_NAMES[name]
+        warnings.warn(
+            f"{__name__}.{name} is now {value.__name__}; the old name goes with the next release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return value
+    if name != "__all__" and name not in api.__all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, getattr(api, name))

@@ -11,16 +11,16 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.time import Time
 from tss_interfaces.msg import RecorderStatus
 
 from tss_ros.bags.cdr import stamp_ns, step_number
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
-from tss_ros.recorder.live_feed import LiveFeed
 from tss_ros.ros import diagnostics, parameters
-from tss_ros.ros.messages import stamp
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import Topic, read_topics
+from tss_ros.ros.words import check_words
 
 #: A topic with more messages than this waiting lets the others have their turn.
 DRAIN_LIMIT = 50
@@ -110,7 +110,11 @@ class LoggerNode(TssNode):
             options["split_duration_s"],
         )
         topics = read_topics()
-        self._live = LiveFeed(self.get_logger()) if options["rerun"] else None
+        self._live = None
+        if options["rerun"]:
+            from tss_ros.recorder.live_feed import LiveFeed  # loads what draws
+
+            self._live = LiveFeed(self.get_logger())
         self._last_step = self._reported_step = -1
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0
@@ -214,7 +218,7 @@ class LoggerNode(TssNode):
     def _report(self):
         self._reported_step = self._last_step
         status = RecorderStatus(
-            stamp=stamp(time.time_ns()),
+            stamp=Time(nanoseconds=time.time_ns()).to_msg(),
             output=str(self._writer.directory.absolute()),
             recording=True,
             matched=all(
@@ -246,4 +250,6 @@ class LoggerNode(TssNode):
 
 def main() -> None:
     """Executable `logger_node`."""
+    about = "Record every topic of a simulator in a bag."
+    check_words("logger_node", about, parameters.LOGGER)
     run(LoggerNode)

@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from tss_ros.bags.reader import bag_files, indexed_reader, open_complete
+from tss_ros.command_line import Parser
 from tss_ros.recorder.older import converter
 from tss_ros.ros import messages
 from tss_ros.ros.node import TssNode, run
@@ -162,7 +163,7 @@ def _qos(channel):
 
 def main() -> None:
     """Executable `play`."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="play",
         description="Play a bag back into ROS. Pause and go on with "
         "`ros2 service call /play/pause std_srvs/srv/SetBool '{data: true}'`.",

@@ -4,7 +4,6 @@ What is done is kept: an interrupted run goes on where it stopped, and another o
 the package's sources have changed since.
 """
 
-import argparse
 import hashlib
 import json
 import math
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tss_ros.bags.recording import Recording, read_bag
+from tss_ros.command_line import Parser
 from tss_ros.reproduction import (
     claims,
     loose_tolerance,
@@ -346,7 +346,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0, 1 if something failed, 2 for a wrong command line, 128 + n when ended by
         signal n.
     """
-    parser = argparse.ArgumentParser(prog="reproduce", description=__doc__)
+    parser = Parser(prog="reproduce", description=__doc__)
     parser.add_argument(
         "--figure",
         nargs="+",

@@ -1,6 +1,5 @@
 """Review of recorded motions in Rerun, and the live view; knows no ROS."""
 
-import argparse
 import contextlib
 import shutil
 import subprocess
@@ -17,6 +16,7 @@ import rerun as rr
 from PIL import Image
 
 from tss_ros.bags.recording import Recording, read_bag
+from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.review import viewer
 from tss_ros.review.scene import APPLICATION, Scene, layout
@@ -241,7 +241,7 @@ def _send(recordings, names, url):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable ``review``: exit status 0, 1 with one line why, or 130 when interrupted."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="review", description="Open recordings of tethered formations in the Rerun viewer."
     )
     parser.add_argument(

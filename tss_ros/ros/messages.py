@@ -271,7 +271,7 @@ class StepMessages:
     def tether_lengths(
         self, time_ns: int, length_m: np.ndarray, rate_m_s: np.ndarray, tension_n: np.ndarray
     ) -> JointState:
-        """JointState: position is the length [m], velocity its rate [m/s], effort the tension [N]."""
+        """JointState: length [m] as position, its rate [m/s] as velocity, tension [N] as effort."""
         message = self._tether_lengths
         self._header.stamp = stamp(time_ns)
         message.position = _doubles(length_m)

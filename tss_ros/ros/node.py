@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -11,6 +12,7 @@ from typing import Any, NoReturn
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
@@ -19,12 +21,19 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from rclpy.service import Service
+from rclpy.task import Future
 
 from tss_ros.core import TssError
 
 #: Longest time [s] between the end of the context by a signal and the call of our handler.
 HANDLER_DELAY_S = 0.5
+#: Keeps as many requests, and answers to them, for those who are slow; the middleware drops more.
+REQUESTS_QOS = QoSProfile(depth=1000)
+#: Every client of a service gets the answers to all of them, and keeps ten that it has not read. So
+#: many answers go out at once, others so far [s] apart for each client that has to read them.
+ANSWERS_AT_ONCE, READING_S = 5, 0.001
 #: Errors that a user can put right; anything else is a mistake of ours and shows its traceback.
 USER_ERRORS = (TssError, OSError, ParameterException, rclpy_implementation.RCLError)
 
@@ -38,6 +47,10 @@ class TssNode(Node):
 
     No request to a service ends it, those of the parameters included.
     """
+
+    def __init__(self, node_name: str, **options: Any) -> None:
+        self._answers_due = {}
+        super().__init__(node_name, **options)
 
     def start(self) -> None:
         """Begin the work; the executor spins next."""
@@ -66,21 +79,69 @@ class TssNode(Node):
             return response
 
         async def answer_each(request, response):
+            # As a whole if possible: values that fit together need not fit one after the other.
+            if self._set_together(request.parameters):
+                response.results = [SetParametersResult(successful=True)] * len(request.parameters)
+                return response
             for parameter in request.parameters:
                 one = await answer(srv_type.Request(parameters=[parameter]), srv_type.Response())
                 response.results += one.results
             return response
 
-        chosen = answer_each if srv_type is SetParameters else answer
-        return super().create_service(srv_type, srv_name, chosen, **options)
+        async def answer_in_time(request, response):
+            chosen = answer_each if srv_type is SetParameters else answer
+            response = await chosen(request, response)
+            await self.let_clients_read(srv_name)
+            return response
+
+        # Requests whose answers wait hold up neither each other nor anything else.
+        options.setdefault("callback_group", ReentrantCallbackGroup())
+        options.setdefault("qos_profile", REQUESTS_QOS)
+        return super().create_service(srv_type, srv_name, answer_in_time, **options)
+
+    async def let_clients_read(self, service: str) -> None:
+        """Wait until one more answer of a service may go out; see `ANSWERS_AT_ONCE`."""
+        now, period_s = time.monotonic(), READING_S * self.count_clients(service)
+        due = max(now, self._answers_due.get(service, now)) + period_s
+        self._answers_due[service] = due
+        wait_s = due - now - ANSWERS_AT_ONCE * period_s
+        if wait_s > 0.0:
+            await self.sleep(wait_s)
+
+    async def sleep(self, duration_s: float) -> None:
+        """Wait so long [s] while the executor goes on."""
+        over = Future()
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(duration_s, lambda: over.set_result(None), clock=clock)
+        await over
+        self.destroy_timer(timer)
 
     def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> SetParametersResult:
-        """Set parameters together; unlike rclpy's own, refuse the empty name as well."""
+        """Set parameters together; unlike rclpy's own, refuse the empty name as well.
+
+        A parameter that is fixed may be given the value that it has.
+        """
         for parameter in parameter_list:
             if not self.has_parameter(parameter.name):
                 reason = f"{parameter.name!r:.80} is not a parameter of {self.get_name()}"
                 return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+        changes = [p for p in parameter_list if not (self._is_fixed(p) and self._has_value(p))]
+        return super().set_parameters_atomically(changes)
+
+    def _is_fixed(self, parameter):
+        return self.describe_parameter(parameter.name).read_only
+
+    def _has_value(self, parameter):
+        return parameter.value == self.get_parameter(parameter.name).value
+
+    def _set_together(self, messages):
+        if len({message.name for message in messages}) != len(messages) or len(messages) < 2:
+            return False
+        try:
+            given = [Parameter.from_parameter_msg(message) for message in messages]
+            return self.set_parameters_atomically(given).successful
+        except (ValueError, TypeError):
+            return False
 
     def _log_failure(self, service):
         self.get_logger().error(f"{service} failed: {traceback.format_exc()}")

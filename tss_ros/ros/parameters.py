@@ -3,16 +3,12 @@
 import dataclasses
 from collections.abc import Iterable, Sequence
 
-import rcl_interfaces.msg
 import rclpy.parameter
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 
-from tss_ros.core import System, TssError
+from tss_ros.core import TssError
 from tss_ros.scenarios import parameters as scenario_parameters
-from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import MAX_BEADS
 
 #: When a value that is set while the node runs applies, and how its description says so.
 APPLIES = {
@@ -40,14 +36,14 @@ class Parameter(scenario_parameters.Parameter):
 
     @property
     def descriptor(self) -> ParameterDescriptor:
-        """ROS descriptor; with dynamic typing, so that `check` says what is wrong with a value."""
-        unset = "" if self.default is not None else " Not set: the scenario's value."
+        """ROS descriptor; only what may be a number or a list of them is typed dynamically."""
+        unset = "" if self.default is not None else " Not given: the scenario's value."
         descriptor = ParameterDescriptor(
             name=self.name,
             description=f"{self.text} {APPLIES[self.applies]}{unset}",
             additional_constraints=self.allowed,
             read_only=self.applies == "never",
-            dynamic_typing=True,
+            dynamic_typing=bool(self.per_element),
         )
         if self.minimum is not None and not self.per_element:
             if self.type is int:
@@ -165,6 +161,8 @@ _KNOWN_NAMES = {p.name for p in (*SIMULATOR, *STABILITY, *LOGGER)} | {
 def read_parameters(node: Node, *tables: Sequence[Parameter]) -> dict[str, object]:
     """Declare the parameters of `tables` on `node` and return their checked values.
 
+    What is left to a scenario is not declared.
+
     Parameters
     ----------
     node : rclpy.node.Node
@@ -192,8 +190,14 @@ def read_parameters(node: Node, *tables: Sequence[Parameter]) -> dict[str, objec
             values[parameter.name] = parameter.check(given[parameter.name].value)
         elif parameter.default is not None:
             values[parameter.name] = parameter.default
-        node.declare_parameter(parameter.name, parameter.default, parameter.descriptor)
+        if parameter.name in values:
+            declare(node, parameter, values[parameter.name])
     return values
+
+
+def declare(node: Node, parameter: Parameter, value: object) -> None:
+    """Declare a parameter with a checked value, which may be a whole number where a double is."""
+    node.declare_parameter(parameter.name, value, parameter.descriptor, ignore_override=True)
 
 
 def check_changes(
@@ -226,77 +230,10 @@ def check_changes(
     for parameter in (p for p in given if p.name in known):
         own = known[parameter.name]
         if own.applies == "never":
-            raise TssError(f"{own.name} is fixed when the node starts")
-        if parameter.value is None and own.default is None:
+            if parameter.value is None or own.check(parameter.value) != values[own.name]:
+                raise TssError(f"{own.name} is fixed when the node starts")
+        elif parameter.value is None and own.default is None:
             changed.pop(own.name, None)
         else:
             changed[own.name] = own.check(parameter.value)
     return changed
-
-
-def read_overrides(messages: Iterable[rcl_interfaces.msg.Parameter]) -> dict[str, object]:
-    """Check overrides that came with a request.
-
-    Parameters
-    ----------
-    messages : sequence of rcl_interfaces.msg.Parameter
-
-    Returns
-    -------
-    dict
-        Values by name.
-
-    Raises
-    ------
-    TssError
-        If a name is unknown or given twice, or if a value does not fit.
-    """
-    table = {parameter.name: parameter for parameter in OVERRIDES}
-    values = {}
-    for message in messages:
-        if message.name not in table:
-            raise TssError(f"override {message.name!r:.80} is unknown; allowed: {', '.join(table)}")
-        if message.name in values:
-            raise TssError(f"override {message.name!r} is given twice; allowed: once each")
-        try:
-            value = parameter_value_to_python(message.value)
-        except RuntimeError:
-            raise TssError(
-                f"override {message.name!r} has type {message.value.type}; allowed: 1 to 9"
-            ) from None
-        values[message.name] = table[message.name].check(value)
-    return values
-
-
-def build_system(
-    scenario_name: str, overrides: dict[str, object], max_beads: int = MAX_BEADS
-) -> tuple[System, float]:
-    """Make the system of a scenario with some of its parameters overridden.
-
-    Parameters
-    ----------
-    scenario_name : str
-        Shipped name or path.
-    overrides : dict
-        Checked values by parameter name.
-    max_beads : int
-        Largest number of satellites and tether beads together.
-
-    Returns
-    -------
-    tuple of System and float
-        The system and its spin rate ratio.
-
-    Raises
-    ------
-    TssError
-        If the scenario cannot be read or the system is too large or not physical.
-    """
-    loaded = scenario.load(scenario_name)
-    system = loaded.build(overrides)
-    if system.n > max_beads:
-        raise TssError(
-            f"satellites and beads_per_tether make {system.n} satellites and beads; "
-            f"allowed: at most {max_beads}"
-        )
-    return system, overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)

@@ -1,6 +1,5 @@
 """The whole chain in one go: simulate, record, ask for stability, and leave pictures of it all."""
 
-import argparse
 import math
 import os
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tss_ros import plots
+from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.review import review
 from tss_ros.runs.processes import STALL_S, record, run_command, watched_nodes
@@ -188,7 +188,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, 1 if something failed, 128 + n when ended by signal n.
     """
-    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+    parser = Parser(prog="demo", description=__doc__)
     parser.add_argument(
         "--output",
         type=Path,

@@ -63,6 +63,19 @@ class Scenario:
         """w = omega / Omega of the scenario."""
         return self.parameters["spin_rate_ratio"]
 
+    @property
+    def values(self) -> dict[str, Any]:
+        """All of its parameters by name, with those that the file leaves out."""
+        own = SCENARIO if self.formation != "graph" else GRAPH
+        return {p.name: self._value(p) for p in own}
+
+    def _value(self, parameter):
+        value = self.parameters.get(parameter.name, parameter.default)
+        whole = isinstance(value, int) and parameter.type is float
+        if isinstance(value, list):
+            return [parameter.type(element) for element in value]
+        return parameter.type(value) if whole else value
+
     def build(self, overrides: dict[str, Any] | None = None) -> System:
         """Build the system, with parameters replaced.
 

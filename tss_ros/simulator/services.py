@@ -4,7 +4,6 @@ import traceback
 from collections.abc import Callable
 
 import numpy as np
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
 from tss_interfaces.srv import (
@@ -57,8 +56,6 @@ class SimulationServices:
         self._node, self._control, self._make_setup = node, control, make_setup
         self._newest_states = newest_states
         self._on_event, self._on_answer = on_event, on_answer
-        # Requests that wait for the simulation hold up neither each other nor anything else.
-        group = ReentrantCallbackGroup()
         for kind, name, callback in (
             (SetSimulationState, "set_simulation_state", self._set_state),
             (GetSimulationState, "get_simulation_state", self._get_state),
@@ -69,7 +66,7 @@ class SimulationServices:
             (SaveSnapshot, "save_snapshot", self._save),
             (RestoreSnapshot, "restore_snapshot", self._restore),
         ):
-            node.create_service(kind, f"~/{name}", callback, callback_group=group)
+            node.create_service(kind, f"~/{name}", callback)
 
     def _get_state(self, _, response):
         response.state = messages.simulation_state(self._control.state)

@@ -12,9 +12,10 @@ from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
 from tss_ros.core.model.forces import lengths_and_rates
-from tss_ros.ros import diagnostics, frames, messages, parameters
+from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, read_topics
+from tss_ros.ros.words import check_words
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.pacing import Pace
@@ -41,7 +42,9 @@ class SimNode(TssNode):
 
     def __init__(self):
         super().__init__("sim_node")
-        self._options = parameters.read_parameters(self, parameters.SIMULATOR)
+        given = parameters.read_parameters(self, parameters.SIMULATOR)
+        self._options = systems.without_scenario_values(given)
+        systems.declare_scenario_values(self, parameters.SIMULATOR, self._options)
         setup = self._make_setup()
         self._frame_id = self._options["frame_prefix"] + messages.FRAME_ID
         topics = read_topics()
@@ -108,23 +111,25 @@ class SimNode(TssNode):
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
-            parameters.build_system(*_system_of(options))
+            systems.build_system(*systems.split_options(options))
+            options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        outcome = super().set_parameters_atomically(parameter_list)
+        values = systems.declare_scenario_values(self, parameters.SIMULATOR, options)
+        own = {parameter.name for parameter in parameters.SIMULATOR}
+        others = [parameter for parameter in parameter_list if parameter.name not in own]
+        changed = [value for value in values if not self._has_value(value)]
+        outcome = super().set_parameters_atomically(changed + others)
         if outcome.successful:
             if options["time_scale"] != self._pace.time_scale:
                 self._pace.time_scale = options["time_scale"]
                 self._control.meter.read()  # which begins to measure anew
             self._options = options
-            # rclpy forgets what is set to nothing; here that means "as the scenario says".
-            for parameter in parameters.SIMULATOR:
-                if not self.has_parameter(parameter.name):
-                    self.declare_parameter(parameter.name, None, parameter.descriptor)
         return outcome
 
     def _make_setup(self):
-        return Setup.of(self._options, *parameters.build_system(*_system_of(self._options)))
+        built = systems.build_system(*systems.split_options(self._options))
+        return Setup.of(self._options, *built)
 
     # --- in the simulation's thread
 
@@ -324,12 +329,7 @@ class SimNode(TssNode):
         )
 
 
-def _system_of(options):
-    """Scenario and overrides among the options."""
-    overrides = (parameter.name for parameter in parameters.OVERRIDES)
-    return options["scenario"], {name: options[name] for name in overrides if name in options}
-
-
 def main() -> None:
     """Executable `sim_node`."""
+    check_words("sim_node", "Simulate one formation and publish its motion.", parameters.SIMULATOR)
     run(SimNode)

@@ -22,6 +22,7 @@ from tss_interfaces.msg import Confirmation, FloquetResult
 from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
+from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.ros.parameters import OVERRIDES
@@ -247,7 +248,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments):
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="stability",
         description="Ask a running stability node whether a formation is stable.",
         epilog="ROS arguments follow --ros-args.",

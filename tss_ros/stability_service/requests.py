@@ -14,7 +14,7 @@ from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
-from tss_ros.ros import parameters
+from tss_ros.ros import systems
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
 
 #: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
@@ -156,7 +156,7 @@ def plan_sweep(
             f"spin_rate_ratio_from and spin_rate_ratio_to are {high - low:g} apart; "
             f"allowed: at most {MAX_WIDTH}"
         )
-    overrides = parameters.read_overrides(request.overrides)
+    overrides = systems.read_overrides(request.overrides)
     name, rows = _varied(request)
     if name in overrides:
         raise TssError(f"parameter is {name!r}, also in overrides; allowed: in one of the two")

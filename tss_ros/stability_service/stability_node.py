@@ -6,8 +6,8 @@ import threading
 import time
 import traceback
 
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
@@ -25,16 +25,23 @@ from tss_ros.core import (
     find_critical_rates,
     sweep,
 )
-from tss_ros.ros import messages, parameters
-from tss_ros.ros.node import TssNode, run
+from tss_ros.ros import messages, parameters, systems
+from tss_ros.ros.node import REQUESTS_QOS, TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
+from tss_ros.ros.words import check_words
 from tss_ros.stability_service import requests
 from tss_ros.sweeps import cluster
 
+PARAMETERS = (parameters.SCENARIO, *parameters.OVERRIDES, *parameters.STABILITY)
 #: Feedback kept for slow clients.
 FEEDBACK_DEPTH = 100
 #: Feedback is published this often [s]: more often, clients would miss some.
 FEEDBACK_PERIOD_S = 0.05
+#: How long [s] a result waits for the last feedback to be taken: once a client of rclpy has the
+#: result, it takes no feedback any more.
+LAST_FEEDBACK_S = 0.2
+#: Most requests, and most goals, that wait; more are refused.
+MOST_WAITING = 50
 #: How often [s] a goal looks whether it is its turn.
 TURN_CHECK_S = 0.1
 #: How often [s] the progress of a request is logged at most.
@@ -51,8 +58,9 @@ class StabilityNode(TssNode):
     def __init__(self):
         super().__init__("stability_node")
         options = parameters.read_parameters(
-            self, (parameters.SCENARIO,), parameters.STABILITY, parameters.OVERRIDES
+            self, PARAMETERS
         )
+        systems.declare_scenario_values(self, PARAMETERS, options)
         self._scenario = options.pop("scenario")
         if scheduler := options.pop("scheduler"):
             self._outcomes = functools.partial(
@@ -65,21 +73,25 @@ class StabilityNode(TssNode):
         self._build({})
         self._stopping = threading.Event()
         self._results = create_publisher(self, read_topics()["stability_results"])
-        # A group of their own: while a request is worked on, others wait, but parameters do not.
-        group = MutuallyExclusiveCallbackGroup()
+        self._requests = collections.deque()
         for kind, name, work in (
             (ComputeFloquet, "compute_floquet", self._compute_floquet),
             (FindCriticalRates, "find_critical_rates", self._find_critical_rates),
         ):
             on_request = functools.partial(self._on_request, work)
-            self.create_service(kind, f"~/{name}", on_request, callback_group=group)
+            self.create_service(kind, f"~/{name}", on_request)
         self._goals = collections.deque()
         self._sweeps = ActionServer(
             self,
             Sweep,
             "~/sweep",
             self._on_goal,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            goal_callback=self._on_goal_request,
+            cancel_callback=self._on_cancel_request,
+            callback_group=ReentrantCallbackGroup(),
+            goal_service_qos_profile=REQUESTS_QOS,
+            result_service_qos_profile=REQUESTS_QOS,
+            cancel_service_qos_profile=REQUESTS_QOS,
             feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
         )
         self.get_logger().info(f"ready for requests about {self._scenario}")
@@ -92,15 +104,40 @@ class StabilityNode(TssNode):
 
     async def _on_request(self, work, request, response):
         def fill_in():
-            overrides = parameters.read_overrides(request.overrides)
+            overrides = systems.read_overrides(request.overrides)
             remarks = work(self._build(overrides), request, response)
             return remarks + requests.useless(overrides)
 
-        return await self._answer(fill_in, response)
+        if len(self._requests) > MOST_WAITING:
+            response.message = f"busy: {MOST_WAITING} requests wait; ask again later"
+            return response
+        turn = Future()
+        self._requests.append(turn)
+        if self._requests[0] is not turn:
+            await turn
+        try:
+            return await self._answer(fill_in, response)
+        finally:
+            self._requests.popleft()
+            if self._requests:
+                self._requests[0].set_result(None)
+
+    async def _on_goal_request(self, _):
+        await self.let_clients_read("~/sweep/_action/send_goal")
+        return GoalResponse.ACCEPT
+
+    async def _on_cancel_request(self, _):
+        await self.let_clients_read("~/sweep/_action/cancel_goal")
+        return CancelResponse.ACCEPT
 
     async def _on_goal(self, goal):
         """Sweep when it is the goal's turn. A wrong goal is aborted: a rejection has no reason."""
         progress, result = _Progress(), Sweep.Result()
+        if len(self._goals) > MOST_WAITING:
+            result.message = f"busy: {MOST_WAITING} goals wait; ask again later"
+            await self.let_clients_read("~/sweep/_action/get_result")
+            goal.abort()
+            return result
         feedback = functools.partial(self._publish_feedback, goal, progress)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(FEEDBACK_PERIOD_S, feedback, clock=clock)
@@ -109,6 +146,8 @@ class StabilityNode(TssNode):
         self._goals.remove(goal)
         self.destroy_timer(timer)
         feedback()
+        await self.sleep(LAST_FEEDBACK_S)
+        await self.let_clients_read("~/sweep/_action/get_result")
         if result.success:
             goal.succeed()
         elif goal.is_cancel_requested:
@@ -140,7 +179,7 @@ class StabilityNode(TssNode):
         return await done
 
     def _build(self, overrides):
-        system, _ = parameters.build_system(
+        system, _ = systems.build_system(
             self._scenario, {**self._overrides, **overrides}, requests.MAX_BEADS
         )
         return system
@@ -318,4 +357,6 @@ def _join(row, piece):
 
 def main() -> None:
     """Executable `stability_node`."""
+    about = "Compute multipliers, critical rates and sweeps on request."
+    check_words("stability_node", about, PARAMETERS)
     run(StabilityNode)

@@ -1,6 +1,5 @@
 """Stability over spin rates, scenarios and values of a parameter, on all cores or a cluster."""
 
-import argparse
 import contextlib
 import math
 import signal
@@ -16,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute
 
 from tss_ros import plots
+from tss_ros.command_line import Parser
 from tss_ros.core import METHODS, Cancelled, TssError, sweep
 from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
@@ -301,7 +301,7 @@ class _Progress:
 
 
 def _parse(arguments):
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="sweep", description="Stability over spin rates, scenarios and a parameter's values."
     )
     parser.add_argument(

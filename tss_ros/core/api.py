@@ -1,0 +1,57 @@
+"""The public names of the core; `tss_ros.core` has them all and loads this when asked for one."""
+
+from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
+from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
+from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
+from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
+from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.system import State, System
+from tss_ros.core.motion.propagator import Propagator
+from tss_ros.core.stability.confirmation import Confirmation, confirm
+from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
+from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.modes import FAMILIES
+from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
+
+__all__ = [
+    "CAUSES",
+    "FAMILIES",
+    "FORMATIONS",
+    "LAW_PARAMETERS",
+    "METHODS",
+    "TETHER_LAWS",
+    "VERDICTS",
+    "Cancelled",
+    "ConfirmationJob",
+    "Confirmation",
+    "CriticalRate",
+    "FloquetResult",
+    "IntegrationError",
+    "CriticalRatesJob",
+    "NoSteadyState",
+    "Propagator",
+    "FloquetJob",
+    "Satellite",
+    "State",
+    "System",
+    "Tether",
+    "TssError",
+    "assemble",
+    "averaged_state",
+    "compute_floquet",
+    "confirm",
+    "deviation",
+    "disturbed",
+    "elastic_energy",
+    "find_critical_rates",
+    "formation",
+    "initial_state",
+    "pushing_share",
+    "ring",
+    "sweep",
+    "tether_state",
+]
+
+#: Old names of jobs, kept for one release.
+OLD_NAMES = {"Rate": FloquetJob, "Interval": CriticalRatesJob, "Check": ConfirmationJob}

@@ -1,0 +1,69 @@
+"""The package's executables: signals are minded from the first moment, then the rest is loaded.
+
+Standard library only: setup.py runs this file to learn the names.
+"""
+
+import functools
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+
+#: Executables of `ros2 run`, and the functions behind them.
+EXECUTABLES = {
+    "sim_node": "simulator.sim_node:main",
+    "stability_node": "stability_service.stability_node:main",
+    "logger_node": "recorder.logger_node:main",
+    "stability": "stability_service.client:main",
+    "sweep": "sweeps.command:main",
+    "demo": "runs.demo:main",
+    "reproduce": "reproduction.reproduce:main",
+    "review": "review.review:main",
+    "recover": "bags.recover:main",
+    "play": "recorder.play:main",
+    "summary": "bags.commands:summary",
+    "plot": "bags.commands:plot",
+    "export": "bags.commands:export",
+}
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    """The function behind an executable, by its name."""
+    if name not in EXECUTABLES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return functools.partial(run, name)
+
+
+def run(name: str) -> int:
+    """Load an executable and run it.
+
+    A signal that comes before it has loaded ends the process in silence: with status 0 where it
+    becomes a node, which a signal is the proper way to end, else with 128 and the signal's number.
+
+    Parameters
+    ----------
+    name : str
+        One of `EXECUTABLES`.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
+    is_node = name.endswith("_node")
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        status = 0 if is_node else 128 + number
+        before[number] = signal.signal(number, lambda *_, status=status: os._exit(status))
+    module, _, function = EXECUTABLES[name].partition(":")
+    main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
+    if is_node:
+        return main()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    try:
+        return main()
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return 128 + signal.SIGINT

@@ -1,0 +1,38 @@
+"""The words on a node's command line: parameters follow --ros-args, and there is little else."""
+
+import sys
+from collections.abc import Sequence
+
+from tss_ros.command_line import Parser, without_ros_arguments
+from tss_ros.ros.parameters import Parameter
+
+
+def check_words(
+    name: str, about: str, *tables: Sequence[Parameter], argv: Sequence[str] | None = None
+) -> None:
+    """Answer --help and --version, and refuse every other word that is not ROS's.
+
+    Parameters
+    ----------
+    name : str
+        Of the executable.
+    about : str
+        What it does.
+    *tables : sequence of Parameter
+        Its parameters.
+    argv : sequence of str, optional
+        The command line without the executable.
+    """
+    known = [parameter for table in tables for parameter in table]
+    parser = Parser(
+        prog=name,
+        usage=f"ros2 run tss_ros {name} [--help] [--version] [--ros-args -p PARAMETER:=VALUE ...]",
+        description=about,
+        epilog=f"parameters: {', '.join(parameter.name for parameter in known)}. "
+        f"`ros2 param describe /{name} PARAMETER` tells about one while the node runs.",
+    )
+    words = without_ros_arguments(sys.argv[1:] if argv is None else argv)
+    _, unknown = parser.parse_known_args(words)
+    if unknown:
+        names = [parameter.name for parameter in known]
+        parser.refuse(unknown[0], names, "; parameters go after --ros-args, as -p name:=value")
