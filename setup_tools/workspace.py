@@ -210,6 +210,10 @@ def correct_exported_paths():
 
 def build_packages(ros):
     """Build tss_interfaces and tss_ros; tss_ros is linked, so that edits need no new build."""
+    for folder in (ROOT / "build", ROOT / "install"):  # colcon stumbles over links to what is gone
+        for path in folder.rglob("*"):
+            if path.is_symlink() and not path.exists():
+                path.unlink()
     colcon = [
         VENV / "bin" / "colcon",
         "build",

@@ -13,7 +13,8 @@ class _ShowVersion(argparse.Action):
         super().__init__(nargs=0, help="show the package's version and exit", **options)
 
     def __call__(self, parser, *_):
-        parser.exit(message=f"tss_ros {version('tss_ros')}\n")
+        print(f"tss_ros {version('tss_ros')}")
+        parser.exit()
 
 
 class Parser(argparse.ArgumentParser):
@@ -27,7 +28,15 @@ class Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
         """Parse; exit with status 2 and one line why where a word is not known."""
-        options, unknown = self.parse_known_args(args, namespace)
+        return self._checked(*self.parse_known_args(args, namespace))
+
+    def parse_intermixed_args(
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
+        """The same where options stand between what has no name."""
+        return self._checked(*self.parse_known_intermixed_args(args, namespace))
+
+    def _checked(self, options, unknown):
         if unknown:
             self.refuse(unknown[0])
         return options

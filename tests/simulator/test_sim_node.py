@@ -292,13 +292,15 @@ def test_parameters_go_round(start, client, tmp_path):
         "tethers:\n  - {between: [a, b], length_m: 10000.0, axial_stiffness_n: 50000.0,"
         " damping_n_s_per_m: 1450.0}\n"
     )
-    given = {"spin_rate_ratio": -2, "satellites": 4, "satellite_mass_kg": [1.0, 2.0, 1.0, 2.0]}
+    masses_kg = [100.0, 200.0, 100.0, 200.0]
+    given = {"spin_rate_ratio": -5, "satellites": 4, "satellite_mass_kg": masses_kg}
     first = start("sim_node", start_paused=True, turns=3, **given)
     simulator = ros_harness.Simulator(*client)
+    simulator.do(GetSimulationState)
     values = dumped(simulator)
     assert parameter_value_to_python(values["satellites"]) == 4
     assert parameter_value_to_python(values["tether_length_m"]) == 10e3
-    assert parameter_value_to_python(values["spin_rate_ratio"]) == -2.0
+    assert parameter_value_to_python(values["spin_rate_ratio"]) == -5.0
     # Another formation has other parameters, and all of them at once bring the first one back.
     assert simulator.set(scenario="six_bead", **dict.fromkeys(given)).successful
     assert value_of(simulator, "beads_per_tether") == 1
@@ -316,7 +318,9 @@ def test_parameters_go_round(start, client, tmp_path):
     file = tmp_path / "dump.yaml"
     file.write_text(yaml.safe_dump({"/sim_node": {"ros__parameters": plain}}))
     second = start("sim_node", "--params-file", str(file))
-    assert dumped(ros_harness.Simulator(*client)) == values
+    again = ros_harness.Simulator(*client)
+    again.do(GetSimulationState)
+    assert dumped(again) == values
     assert second.stop() == 0, second.stderr
 
 

@@ -99,9 +99,9 @@ class TssNode(Node):
         options.setdefault("qos_profile", REQUESTS_QOS)
         return super().create_service(srv_type, srv_name, answer_in_time, **options)
 
-    async def let_clients_read(self, service: str) -> None:
+    async def let_clients_read(self, service: str, reading_s: float = READING_S) -> None:
         """Wait until one more answer of a service may go out; see `ANSWERS_AT_ONCE`."""
-        now, period_s = time.monotonic(), READING_S * self.count_clients(service)
+        now, period_s = time.monotonic(), reading_s * self.count_clients(service)
         due = max(now, self._answers_due.get(service, now)) + period_s
         self._answers_due[service] = due
         wait_s = due - now - ANSWERS_AT_ONCE * period_s

@@ -40,6 +40,8 @@ FEEDBACK_PERIOD_S = 0.05
 #: How long [s] a result waits for the last feedback to be taken: once a client of rclpy has the
 #: result, it takes no feedback any more.
 LAST_FEEDBACK_S = 0.2
+#: How long [s] a client may take to read an answer about a goal; each may have sent many goals.
+READING_S = 0.005
 #: Most requests, and most goals, that wait; more are refused.
 MOST_WAITING = 50
 #: How often [s] a goal looks whether it is its turn.
@@ -123,11 +125,11 @@ class StabilityNode(TssNode):
                 self._requests[0].set_result(None)
 
     async def _on_goal_request(self, _):
-        await self.let_clients_read("~/sweep/_action/send_goal")
+        await self.let_clients_read("~/sweep/_action/send_goal", READING_S)
         return GoalResponse.ACCEPT
 
     async def _on_cancel_request(self, _):
-        await self.let_clients_read("~/sweep/_action/cancel_goal")
+        await self.let_clients_read("~/sweep/_action/cancel_goal", READING_S)
         return CancelResponse.ACCEPT
 
     async def _on_goal(self, goal):
@@ -135,7 +137,7 @@ class StabilityNode(TssNode):
         progress, result = _Progress(), Sweep.Result()
         if len(self._goals) > MOST_WAITING:
             result.message = f"busy: {MOST_WAITING} goals wait; ask again later"
-            await self.let_clients_read("~/sweep/_action/get_result")
+            await self.let_clients_read("~/sweep/_action/get_result", READING_S)
             goal.abort()
             return result
         feedback = functools.partial(self._publish_feedback, goal, progress)
@@ -147,7 +149,7 @@ class StabilityNode(TssNode):
         self.destroy_timer(timer)
         feedback()
         await self.sleep(LAST_FEEDBACK_S)
-        await self.let_clients_read("~/sweep/_action/get_result")
+        await self.let_clients_read("~/sweep/_action/get_result", READING_S)
         if result.success:
             goal.succeed()
         elif goal.is_cancel_requested:
