@@ -52,8 +52,8 @@ setup(
     extras_require={
         # sweeps on a Dask cluster
         "cluster": ["distributed>=2025.1"],
-        # what `make` needs besides: tests and checks, then colcon
-        "dev": [
+        # tests and checks; colcon runs pytest where this extra names it
+        "test": [
             "pytest>=8",
             "pytest-xdist>=3.6",
             "hypothesis>=6.100",
@@ -61,6 +61,9 @@ setup(
             "pandas>=2.2.3",  # for the examples
             "import-linter>=2.15",
             "ruff>=0.15",
+        ],
+        # what `make` needs besides
+        "dev": [
             "colcon-ros>=0.5",
             "colcon-bash>=0.5",
             "colcon-zsh>=0.5",

@@ -1,6 +1,6 @@
 """Simulator, stability node and, if asked for, recorder; all end when one of them does.
 
-    ros2 launch tss_ros simulation.launch.py scenario:=six_bead record:=true rerun:=true
+As in: ros2 launch tss_ros simulation.launch.py scenario:=six_bead record:=true rerun:=true
 """
 
 from pathlib import Path

@@ -11,6 +11,7 @@ PACKAGE = Path(tss_ros.__file__).parent
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 MOST_MODULE_LINES, MOST_FUNCTION_LINES, MOST_POSITIONAL = 400, 80, 8
 
+
 def functions():
     """(module, class or None, node) of every function of the package, inner ones included."""
     for module in MODULES:

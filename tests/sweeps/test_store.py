@@ -137,7 +137,7 @@ def test_killed_again_and_again_it_does_only_what_is_missing(tmp_path, finished)
         process = subprocess.Popen([*EAGER, *ARGUMENTS, "--output", str(tmp_path)])
         try:
             ros_harness.wait_until(
-                lambda: len(manifest(tmp_path)) >= enough or process.poll() is not None,  # noqa: B023
+                lambda: len(manifest(tmp_path)) >= enough or process.poll() is not None,  # noqa: B023, E501
                 60, f"{enough} jobs",
             )  # fmt: skip
         finally:
