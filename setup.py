@@ -17,7 +17,7 @@ setup(
     description="Spinning tethered satellite formations in ROS 2: simulation and Floquet stability",
     license="Apache-2.0",
     maintainer="tss_ros maintainers",
-    maintainer_email="maintainers@tss-ros.example",
+    maintainer_email="maintainers@users.noreply.h-seed-809a8e3e.example",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["tss_ros", "tss_ros.*"]),
     package_data={"tss_ros": ["py.typed", "scenarios/*.yaml"]},

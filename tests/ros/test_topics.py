@@ -1,8 +1,14 @@
 """Topics have the QoS of recording.yaml, unless the parameters of a node say otherwise."""
 
+from pathlib import Path
+
 import pytest
 import ros_harness
+from ament_index_python.packages import get_package_share_directory
+from tss_interfaces.msg import CriticalRate, FloquetResult, SimulationEvent
+from tss_interfaces.srv import StepSimulation
 
+from tss_ros import core
 from tss_ros.ros.topics import read_topics
 
 
@@ -63,3 +69,23 @@ def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expe
     assert process.wait(ros_harness.START_S) == 1
     (line,) = process.stderr.splitlines()
     assert line.startswith("sim_node: ") and expected in line
+
+
+@pytest.mark.parametrize(
+    ("kind", "prefix", "texts"),
+    [
+        (FloquetResult, "VERDICT", core.VERDICTS),
+        (FloquetResult, "FAMILY", core.FAMILIES),
+        (CriticalRate, "CAUSE", core.CAUSES),
+        (SimulationEvent, "KIND", ("reset", "restore", "disturb")),
+    ],
+)
+def test_texts_of_messages_have_constants(kind, prefix, texts):
+    names = [f"{prefix}_{text.upper().replace(' ', '_')}" for text in texts]
+    assert [getattr(kind, name) for name in names] == list(texts)
+    path = Path(get_package_share_directory("tss_interfaces")) / "msg" / f"{kind.__name__}.msg"
+    assert path.read_text().count(f"string {prefix}_") == len(texts)
+
+
+def test_a_request_to_step_asks_for_one_step_unless_it_says_more():
+    assert StepSimulation.Request().steps == 1

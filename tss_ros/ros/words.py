@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from tss_ros.command_line import Parser, without_ros_arguments
 from tss_ros.ros.parameters import Parameter
@@ -31,7 +32,12 @@ def check_words(
         epilog=f"parameters: {', '.join(parameter.name for parameter in known)}. "
         f"`ros2 param describe /{name} PARAMETER` tells about one while the node runs.",
     )
-    words = without_ros_arguments(sys.argv[1:] if argv is None else argv)
+    argv = sys.argv[1:] if argv is None else argv
+    for word, file in zip(argv, argv[1:]):
+        if word == "--params-file" and Path(file).exists() and not Path(file).is_file():
+            # ROS would wait for a pipe without an end.
+            parser.error(f"--params-file is {file!r:.200}; allowed: a file")
+    words = without_ros_arguments(argv)
     _, unknown = parser.parse_known_args(words)
     if unknown:
         names = [parameter.name for parameter in known]

@@ -26,8 +26,11 @@ import yaml
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.system import finite
+from tss_ros.scenarios.files import open_file
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
+#: Largest size [bytes] of a scenario file, and how deep it may be nested.
+MOST_BYTES, MOST_DEPTH = 1_000_000, 10
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation")
 _PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
@@ -125,9 +128,11 @@ def read_text(name_or_path: str | Path) -> str:
             f" got {text!r}"
         )
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
+        with open_file(path, MOST_BYTES) as stream:
+            return stream.read(MOST_BYTES).decode()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else reason
         raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
 
 
@@ -149,8 +154,12 @@ def load(name_or_path: str | Path) -> Scenario:
         If there is no such scenario or something in it is wrong; the text says what and where.
     """
     text = str(name_or_path)
+    content = read_text(text)
     try:
-        content = yaml.safe_load(read_text(text))
+        _check_form(content)
+        content = yaml.safe_load(content)
+    except TssError as error:
+        raise TssError(f"scenario file {text!r}: {error}") from None
     except yaml.YAMLError as error:
         raise TssError(f"scenario file {text!r} is not valid YAML: {_one_line(error)}") from None
     try:
@@ -159,6 +168,18 @@ def load(name_or_path: str | Path) -> Scenario:
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     return scenario
+
+
+def _check_form(text):
+    """Refuse what a few lines can make endless: deep nesting, and aliases of aliases."""
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise TssError(f"it has the alias *{event.anchor:.40}; allowed: none")
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > MOST_DEPTH:
+            raise TssError(f"it is nested too deeply; allowed: {MOST_DEPTH} levels")
 
 
 def _one_line(error):

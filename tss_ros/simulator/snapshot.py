@@ -9,10 +9,13 @@ import zipfile
 import numpy as np
 
 from tss_ros.core import TssError
+from tss_ros.scenarios.files import open_file
 from tss_ros.simulator.checkpoint import Checkpoint
 
 #: Raised whenever entries change. Version 1 had no number and the integrator's own names.
 FORMAT_VERSION = 3
+#: Largest size [bytes] of a snapshot, packed and unpacked; one of 1000 beads has a few million.
+MOST_BYTES = 100_000_000
 
 
 def write(
@@ -81,11 +84,11 @@ def read(
         If it is no snapshot, or one of another version or another system.
     """
     try:
-        with np.load(_checked(file), allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
+        with open_file(_checked(file), MOST_BYTES) as stream:
+            content = _unpack(stream)
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         raise TssError(f"snapshot {file!r:.200} cannot be read: {_reason(error)}") from None
     version = content.get("format_version", 1)
     if not np.array_equal(version, FORMAT_VERSION):
@@ -107,6 +110,15 @@ def read(
     if not 0 <= from_index <= index <= from_index + furthest:
         raise TssError(f"snapshot {file!r:.200} is damaged")
     return {"index": index, "base_ns": base_ns}, Checkpoint(from_index, arrays)
+
+
+def _unpack(stream):
+    with zipfile.ZipFile(stream) as archive:
+        if (size := sum(entry.file_size for entry in archive.infolist())) > MOST_BYTES:
+            raise TssError(f"it holds {size} bytes; allowed: at most {MOST_BYTES}")
+    stream.seek(0)
+    with np.load(stream, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
 
 
 def _fits(array, like):
