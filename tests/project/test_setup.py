@@ -1,13 +1,16 @@
 """The set-up: prerequisites, locks, activation, the minimal `ros2`, and who may import whom."""
 
+import fcntl
 import importlib.metadata
 import importlib.util
 import os
+import pty
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -252,6 +255,8 @@ def package(tmp_path):
         "killed": "kill -KILL $$",
         "wait": "trap 'echo caught INT; exit 0' INT; trap 'echo caught TERM; exit 3' TERM; "
         "echo ready; while :; do sleep 0.05; done",
+        "count": "trap 'echo INT' INT; trap 'exit 4' TERM; "
+        "echo ready; while :; do sleep 0.05; done",
         "a/twice": "",
         "b/twice": "",
         ".hidden/secret": "",
@@ -321,6 +326,31 @@ def test_ros2_run_passes_signals_on(package, number, name, status):
         output, _ = process.communicate(timeout=20)
     assert process.returncode == status
     assert f"caught {name}\n" in output and "[ros2run]: Received signal: " in output
+
+
+def test_ctrl_c_of_a_terminal_comes_once(package):
+    controller, terminal = pty.openpty()
+
+    def start(*command, env):
+        return subprocess.Popen(
+            command,
+            stdin=terminal,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=env,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+
+    with package("run", "tools", "count", start=start) as process:
+        assert process.stdout.readline() == "ready\n"
+        os.write(controller, b"\x03")
+        assert process.stdout.readline() == "INT\n"
+        process.terminate()
+        output, _ = process.communicate(timeout=20)
+    os.close(controller)
+    os.close(terminal)
+    assert process.returncode == 4 and "INT" not in output, output
 
 
 def test_ros2_other_verbs_and_help(package):
