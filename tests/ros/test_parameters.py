@@ -55,6 +55,14 @@ def test_integers_do_for_numbers_and_one_value_for_all(given):
     assert (values["beads_per_tether"], values["turns"]) == (1, 8.0)
 
 
+def test_numbers_that_ros_tools_take_for_text_are_numbers(given):
+    """`ros2 param load` and `ros2 param set` make text of 3e-15."""
+    assert given(air_density_kg_m3="3e-15", j2="1.5E-3")["air_density_kg_m3"] == 3e-15
+    for text in ("1", "3e", "e5", "1e400", "3e-15 "):
+        with pytest.raises(TssError, match="air_density_kg_m3 is "):
+            given(air_density_kg_m3=text)
+
+
 @pytest.mark.parametrize("edge", ["minimum", "maximum"])
 def test_ranges_include_their_ends(given, edge):
     tables = [parameter for table in SIMULATOR for parameter in table]

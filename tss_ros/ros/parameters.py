@@ -1,6 +1,7 @@
 """The nodes' parameters: one table for declaration, descriptors, checks and service overrides."""
 
 import dataclasses
+import re
 from collections.abc import Iterable, Sequence
 
 import rclpy.parameter
@@ -20,6 +21,7 @@ APPLIES = {
 HEADING = ("parameter", "type", "unit", "default", "changes apply", "allowed", "meaning")
 #: Types of values, as ROS calls them.
 _ROS_TYPES = {str: "string", bool: "bool", int: "integer", float: "double"}
+_EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +35,12 @@ class Parameter(scenario_parameters.Parameter):
     """
 
     applies: str = "never"
+
+    def check(self, value: object) -> object:
+        """As of a scenario; a number like 3e-15, which ROS's tools take for text, fits too."""
+        if self.type is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
+            value = float(value)
+        return super().check(value)
 
     @property
     def descriptor(self) -> ParameterDescriptor:

@@ -247,7 +247,7 @@ class SimNode(TssNode):
 
     def _tell_latecomers(self):
         """Publish the newest step again for those who came while the simulation stands still."""
-        if self._shown is None:
+        if self._shown is None or self._control.begins_run:
             return
         names = [name for name in (*STATE_TOPICS, "/tf") if name in self._publisher]
         listeners = {name: self._publisher[name].get_subscription_count() for name in names}
