@@ -22,6 +22,8 @@ from tss_interfaces.srv import (
 )
 
 CLIENTS = 20
+#: Answers that a client of these tests keeps unread: one process on a busy machine reads them all.
+KEPT = QoSProfile(depth=1000)
 
 
 @contextlib.contextmanager
@@ -50,7 +52,7 @@ def client_nodes(count):
 
 def ready_clients(nodes, spin_until, kind, name):
     """A client of each node, which the server has found as well."""
-    clients = [node.create_client(kind, name) for node in nodes]
+    clients = [node.create_client(kind, name, qos_profile=KEPT) for node in nodes]
     for client in clients:
         spin_until(client.service_is_ready, ros_harness.START_S, name)
         spin_until(ros_harness.ask_until_answered(client, kind.Request()), 30, "a first answer")
@@ -97,13 +99,12 @@ def test_the_stability_node_answers_all_and_says_when_it_is_busy(start):
     assert process.stop() == 0, process.stderr
 
 
-@pytest.mark.parametrize(("count", "kept"), [(20, 10), (100, 1000)])
-def test_a_storm_of_goals_and_cancellations_is_answered(start, client, count, kept):
-    """A client keeps 10 answers that it has not read; one that sends more must keep more."""
+@pytest.mark.parametrize("count", [20, 100])
+def test_a_storm_of_goals_and_cancellations_is_answered(start, client, count):
     node, spin_until = client
     process, name = start("stability_node"), "/stability_node/sweep"
     services = ("goal_service", "result_service", "cancel_service")
-    qos = {f"{service}_qos_profile": QoSProfile(depth=kept) for service in services}
+    qos = {f"{service}_qos_profile": KEPT for service in services}
     sweeps = ActionClient(node, Sweep, name, **qos)
     spin_until(sweeps.server_is_ready, ros_harness.START_S, "the action")
     goal, first = Sweep.Goal(spin_rate_ratio=[-2.5] * 10, method="frozen"), []

@@ -96,8 +96,8 @@ def test_parameters_describe_themselves_and_refuse_changes(asked):
     assert altitude.floating_point_range[0].from_value == 0.0
     values = asked(GetParameters, "get_parameters", GetParameters.Request(names=names)).values
     assert values[0].string_value == "three_star"
-    assert values[1].type == ParameterType.PARAMETER_NOT_SET
-    assert values[2].integer_value == 120
+    assert values[1].integer_value == 3  # the scenario's
+    assert values[2].double_value == 120.0  # given as a whole number
     change = Parameter(name="satellites", value=integer(4))
     (result,) = asked(
         SetParameters, "set_parameters", SetParameters.Request(parameters=[change])
