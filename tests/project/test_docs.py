@@ -15,7 +15,8 @@ from tss_ros.scenarios import scenario
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
+PAGES += [ROOT / "QUALITY_DECLARATION.md"]
 PAGES += sorted(p for p in DOCS.rglob("*.md") if not {"_build", "_generated"} & set(p.parts))
 
 
