@@ -11,9 +11,10 @@ from tss_interfaces.srv import RestoreSnapshot, SaveSnapshot
 
 #: Contents of scenario files by the reason why they are refused.
 ABSURD = {
-    "it is nested too deeply": "description: " + "[" * 100_000,
-    "it has the alias *a": "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
-    "bytes; allowed: at most 1000000": "# " + "x" * 2_000_000,
+    "nests deeper than": "description: " + "[" * 100_000,
+    "repeats parts by aliases to more than": "a: &a0 [x, x]\n"
+    + "".join(f"b{i}: &a{i + 1} [*a{i}, *a{i}]\n" for i in range(30)),
+    "is too large; allowed": "# " + "x" * 5_000_000,
     "it is not text": b"\xff\xfe\x00",
 }
 
@@ -42,7 +43,7 @@ def test_a_running_simulator_refuses_what_would_block_or_fill_it(start, client, 
     simulator = ros_harness.Simulator(*client)
     simulator.do(SaveSnapshot, file="good.npz")
     outcome = simulator.set(scenario=pipe)
-    assert not outcome.successful and "it is not a file; allowed: a regular file" in outcome.reason
+    assert not outcome.successful and "is a FIFO; allowed: a regular file" in outcome.reason
     assert not simulator.set(scenario=str(tmp_path)).successful
     for reason, content in ABSURD.items():
         file = tmp_path / "absurd.yaml"
@@ -61,9 +62,9 @@ def test_a_running_simulator_refuses_what_would_block_or_fill_it(start, client, 
         large.truncate(200_000_000)
     before = resident_kib(process)
     for file, reason in (
-        ("pipe.npz", "it is not a file"),
-        ("bomb.npz", "it holds 200000000 bytes; allowed: at most 100000000"),
-        ("large.npz", "it has 200000000 bytes; allowed: at most 100000000"),
+        ("pipe.npz", "is a FIFO; allowed: a regular file"),
+        ("bomb.npz", "it would unpack to 200000000 bytes; allowed here: "),
+        ("large.npz", "cannot be read"),
     ):
         code, why = simulator.refused(RestoreSnapshot, file=file)
         assert code == Result.RESULT_OPERATION_FAILED and reason in why, why

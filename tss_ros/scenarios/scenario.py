@@ -21,16 +21,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.system import finite
-from tss_ros.scenarios.files import open_file
+from tss_ros.scenarios import files
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
-#: Largest size [bytes] of a scenario file, and how deep it may be nested.
-MOST_BYTES, MOST_DEPTH = 1_000_000, 10
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation")
 _PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
@@ -128,12 +124,9 @@ def read_text(name_or_path: str | Path) -> str:
             f" got {text!r}"
         )
     try:
-        with open_file(path, MOST_BYTES) as stream:
-            return stream.read(MOST_BYTES).decode()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        reason = "it is not text" if isinstance(error, UnicodeDecodeError) else reason
-        raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
+        return files.read_text(path)
+    except TssError as error:
+        raise TssError(f"scenario file {error}") from None
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -154,36 +147,13 @@ def load(name_or_path: str | Path) -> Scenario:
         If there is no such scenario or something in it is wrong; the text says what and where.
     """
     text = str(name_or_path)
-    content = read_text(text)
-    try:
-        _check_form(content)
-        content = yaml.safe_load(content)
-    except TssError as error:
-        raise TssError(f"scenario file {text!r}: {error}") from None
-    except yaml.YAMLError as error:
-        raise TssError(f"scenario file {text!r} is not valid YAML: {_one_line(error)}") from None
+    content = files.load_yaml(read_text(text), f"scenario file {text!r}")
     try:
         scenario = _parse(text, content)
         scenario.build()
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     return scenario
-
-
-def _check_form(text):
-    """Refuse what a few lines can make endless: deep nesting, and aliases of aliases."""
-    depth = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        if isinstance(event, yaml.AliasEvent):
-            raise TssError(f"it has the alias *{event.anchor:.40}; allowed: none")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > MOST_DEPTH:
-            raise TssError(f"it is nested too deeply; allowed: {MOST_DEPTH} levels")
-
-
-def _one_line(error):
-    return " ".join(str(error).split())
 
 
 def _parse(name, content):
