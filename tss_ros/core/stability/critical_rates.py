@@ -12,7 +12,7 @@ from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System, finite
 from tss_ros.core.stability.floquet import compute_floquet
 
-CAUSES = ("first slack", "axis tilt", "shape", "spin", "no periodic motion")
+CAUSES = ("first slack", "axis tilt", "shape", "spin", "none found")
 
 #: Slower spin than this is left out of an interval: one turn becomes longer than twenty orbits.
 SLOWEST = 0.05
@@ -123,7 +123,7 @@ class _Sample:
 def _sample_at(system, ratio, cancelled):
     result = compute_floquet(system, ratio, certify=False, cancelled=cancelled)
     stable = result.verdict in ("neutral", "asymptotically stable")
-    cause = "no periodic motion"
+    cause = "none found"
     if result.verdict == "unstable":
         leaving = {
             family: max(abs(m) for m, f in zip(result.multiplier, result.family) if f == family)

@@ -13,6 +13,8 @@ from tss_ros.core.stability.modes import FAMILIES
 SMALLEST_TOLERANCE = 1e-6
 #: Smallest distance from 1 within which a multiplier may be part of a split Jordan block.
 SMALLEST_DRIFT = 1e-3
+#: How far multipliers at 1 move, in units of the drift.
+DRIFTS = 10.0
 #: Distances that count as none: in units of the error of simple multipliers, and of Jordan blocks.
 TRIVIAL_ERRORS, JORDAN_ERRORS = 10.0, 3.0
 #: Multipliers of the centre of mass, and the simple ones among them, exp(+-i Omega T) twice.
@@ -43,18 +45,19 @@ class Judgement:
     max_modulus_nontrivial: float
 
 
-def drift_radius(closure_residual: float) -> float:
+def drift_radius(drift: float) -> float:
     """Distance from 1 within which multipliers may belong to a Jordan block that is split.
 
-    The drift of a damped motion splits it by about twice the root of the closure residual.
+    What makes up for the spin that damping takes splits it by some times the share of the spin,
+    and the error of the matrix by its root.
     """
-    return max(SMALLEST_DRIFT, 2.0 * math.sqrt(closure_residual))
+    return max(SMALLEST_DRIFT, DRIFTS * drift)
 
 
 def judge(
     multiplier: np.ndarray,
     family: np.ndarray,
-    closure_residual: float,
+    drift: float,
     periodic: bool,
     error: float | np.ndarray = 0.0,
     found: np.ndarray | None = None,
@@ -66,8 +69,8 @@ def judge(
     multiplier : ndarray, shape (k,), complex
     family : ndarray, shape (k,), str
         One of `FAMILIES` for each.
-    closure_residual : float
-        Of the motion, see `FloquetResult`.
+    drift : float
+        Share of the spin that the motion loses in a turn, or by how much it misses closing.
     periodic : bool
         Whether the motion counts as closed.
     error : float or ndarray, shape (k,)
@@ -80,12 +83,12 @@ def judge(
     Judgement
     """
     found = np.ones(multiplier.size, dtype=bool) if found is None else found
-    trivial, jordan = _rigid_errors(multiplier, family, closure_residual, found)
+    trivial, jordan = _rigid_errors(multiplier, family, drift, found)
     tolerance = np.maximum(SMALLEST_TOLERANCE, TRIVIAL_ERRORS * np.maximum(trivial, error))
     tolerance = np.broadcast_to(tolerance, multiplier.shape).copy()
-    near = np.abs(multiplier - 1.0) <= drift_radius(closure_residual)
+    near = np.abs(multiplier - 1.0) <= drift_radius(drift)
     tolerance[near] = np.maximum(tolerance[near], JORDAN_ERRORS * jordan)
-    drifting = jordan > drift_radius(closure_residual)
+    drifting = jordan > drift_radius(drift)
     return _verdict(multiplier, family, tolerance, periodic, drifting, found, (trivial, jordan))
 
 
@@ -96,7 +99,7 @@ def judge_frozen(multiplier: np.ndarray, family: np.ndarray) -> Judgement:
     return _verdict(multiplier, family, tolerance, True, False, found, (math.nan, math.nan))
 
 
-def _rigid_errors(multiplier, family, closure_residual, found):
+def _rigid_errors(multiplier, family, drift, found):
     """Distances from the unit circle of those that theory puts on it: simple ones, others."""
     on_circle, from_one = np.abs(np.abs(multiplier) - 1.0), np.abs(multiplier - 1.0)
     centre = np.flatnonzero(found & (family == FAMILIES[0]))
@@ -104,7 +107,7 @@ def _rigid_errors(multiplier, family, closure_residual, found):
     if centre.size == CENTRE:
         simple = SIMPLE
     else:
-        simple = np.count_nonzero(from_one[centre] > drift_radius(closure_residual))
+        simple = np.count_nonzero(from_one[centre] > drift_radius(drift))
     blocks = np.append(centre[simple:], np.flatnonzero(found & (family == "spin")))
     return (
         float(np.max(on_circle[part], initial=0.0)) for part in (centre[:simple], blocks)
@@ -115,7 +118,7 @@ def _verdict(multiplier, family, tolerance, periodic, drifting, found, errors):
     modulus, shape = np.abs(multiplier), family == "shape"
     nontrivial = found & (shape | (family == "axis tilt"))
     if not periodic:
-        verdict = "no periodic motion"
+        verdict = "none found"
     elif np.any(modulus[nontrivial] > 1.0 + tolerance[nontrivial]) or drifting:
         verdict = "unstable"
     elif not found.all():
