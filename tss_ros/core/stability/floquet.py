@@ -18,7 +18,7 @@ from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability import harmonic_balance, leading_multipliers
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import drift_radius, judge, judge_frozen
-from tss_ros.core.stability.modes import label
+from tss_ros.core.stability.modes import flow_direction, label, multipliers, stays_in_plane
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import (
@@ -144,9 +144,10 @@ def _pushing_share(integrator, start):
     return forces.pushing_share(tension, taut)
 
 
-def _result(method, integrator, multiplier, family, judgement, residual=(), **known):
-    """The result of a judgement, largest modulus first."""
-    order = np.argsort(-np.abs(multiplier), kind="stable")
+def _result(method, integrator, spectrum, family, judgement, residual=(), **known):
+    """The result of a judgement of multipliers and vectors, largest modulus first."""
+    multiplier, vectors = spectrum
+    order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(
         **_question(method, integrator.system, integrator.arrays.spin),
         multiplier=multiplier[order],
@@ -154,10 +155,13 @@ def _result(method, integrator, multiplier, family, judgement, residual=(), **kn
         max_modulus=judgement.max_modulus,
         max_modulus_nontrivial=judgement.max_modulus_nontrivial,
         verdict=judgement.verdict,
+        deciding_modulus=float(abs(multiplier[decided])) if decided >= 0 else math.nan,
+        deciding_family=str(family[decided]) if decided >= 0 else "",
         tolerance=float(np.min(judgement.tolerance)),
         trivial_error=judgement.trivial_error,
         jordan_error=judgement.jordan_error,
         residual=np.asarray(residual)[order] if len(residual) else np.empty(0),
+        vectors=vectors[:, order],
         **known,
     )
 
@@ -165,8 +169,9 @@ def _result(method, integrator, multiplier, family, judgement, residual=(), **kn
 def _whole(turn, initial, initial_closure, correct, certify, cancelled):
     """The result of a turn with its whole matrix."""
     integrator, closed_by = turn.integrator, turn.closure_residual
-    multiplier, vectors = np.linalg.eig(turn.matrix)  # Eqs. (25) and (27)
-    family = label(integrator.system, turn.start, multiplier, vectors)
+    planar = stays_in_plane(integrator, turn.start)
+    multiplier, vectors = multipliers(turn.matrix, planar)  # Eqs. (25) and (27)
+    family = label(integrator, turn.start, multiplier, vectors)
     periodic = closed_by <= CLOSED or not correct
     judgement = judge(multiplier, family, closed_by, periodic)
     proofs = {}
@@ -191,7 +196,7 @@ def _whole(turn, initial, initial_closure, correct, certify, cancelled):
             " the drift of the spin"
         )
     return _result(
-        "monodromy", integrator, multiplier, family, judgement,
+        "monodromy", integrator, (multiplier, vectors), family, judgement,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
         det_z_error=_det_z_error(turn),
@@ -212,21 +217,21 @@ def _leading(integrator, initial, count, correct, cancelled):
     multiplier, vectors, residual, turns = leading_multipliers.leading_multipliers(
         integrator, start, count, cancelled
     )
-    along = _flow_direction(integrator, start)
+    along = flow_direction(integrator, start)
     motion, carried = carry_displacements(
         integrator, integrator.begin(start), along[:, None], integrator.period_s, cancelled
     )
     end = integrator.scaled(motion.v, motion.r)
     closed_by = float(np.linalg.norm(end - to_scaled(integrator, start)))
-    missed = _flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
-    family = label(integrator.system, start, multiplier, vectors)
+    missed = flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
+    family = label(integrator, start, multiplier, vectors)
     found = residual <= leading_multipliers.CONVERGED * np.abs(multiplier)
     periodic = closed_by <= CLOSED or not correct
     judgement = judge(multiplier, family, closed_by, periodic, residual, found)
     words = _origin(initial, initial_closure if correct else None)
     words += f"; {np.count_nonzero(found)} of {count} leading multipliers found in {turns} turns"
     return _result(
-        "monodromy", integrator, multiplier, family, judgement, residual,
+        "monodromy", integrator, (multiplier, vectors), family, judgement, residual,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
         flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
@@ -245,11 +250,11 @@ def _frozen(integrator, state, cancelled):
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
     matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
-    value, vectors = np.linalg.eig(matrix)  # Eq. (37)
+    value, vectors = multipliers(matrix, stays_in_plane(integrator, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
-    family = label(integrator.system, state, multiplier, vectors)
+    family = label(integrator, state, multiplier, vectors)
     return _result(
-        "frozen", integrator, multiplier, family, judge_frozen(multiplier, family),
+        "frozen", integrator, (multiplier, vectors), family, judge_frozen(multiplier, family),
         closure_residual=missed.residual,
         initial_closure_residual=missed.residual,
         switches=missed.switches,
@@ -277,14 +282,5 @@ def _det_z_error(turn):
 
 def _flow_error(turn):
     """Scaled error of M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28)."""
-    before, after = (_flow_direction(turn.integrator, s) for s in (turn.start, turn.end))
+    before, after = (flow_direction(turn.integrator, s) for s in (turn.start, turn.end))
     return float(np.max(np.abs(turn.matrix @ before - after)) / np.max(np.abs(before)))
-
-
-def _flow_direction(integrator, state):
-    arrays = integrator.arrays._replace(spin=0.0)
-    r, v = state.position_m, np.ascontiguousarray(state.velocity_m_s)
-    taut = forces.acting_tethers(integrator.system, r, v)
-    a = np.empty_like(r)
-    forces.acceleration(arrays, taut, 0.0, v, np.ascontiguousarray(r), a)
-    return to_scaled(integrator, State(v, a))

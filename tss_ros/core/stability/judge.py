@@ -33,6 +33,8 @@ class Judgement:
         See `FloquetResult`.
     max_modulus, max_modulus_nontrivial : float
         Over the multipliers that were found.
+    deciding : int
+        Index of the multiplier that decided; -1 if none did.
     """
 
     verdict: str
@@ -41,6 +43,7 @@ class Judgement:
     jordan_error: float
     max_modulus: float
     max_modulus_nontrivial: float
+    deciding: int
 
 
 def drift_radius(closure_residual: float) -> float:
@@ -85,7 +88,8 @@ def judge(
     tolerance = np.broadcast_to(tolerance, multiplier.shape).copy()
     near = np.abs(multiplier - 1.0) <= drift_radius(closure_residual)
     tolerance[near] = np.maximum(tolerance[near], JORDAN_ERRORS * jordan)
-    drifting = jordan > drift_radius(closure_residual)
+    rigid = (family == FAMILIES[0]) | (family == "spin")
+    drifting = found & rigid & (np.abs(multiplier) > 1.0 + drift_radius(closure_residual))
     return _verdict(multiplier, family, tolerance, periodic, drifting, found, (trivial, jordan))
 
 
@@ -93,7 +97,8 @@ def judge_frozen(multiplier: np.ndarray, family: np.ndarray) -> Judgement:
     """Judge the multipliers of a configuration that is taken to stand still, Eq. (47)."""
     tolerance = np.full(multiplier.size, SMALLEST_DRIFT)
     found = np.ones(multiplier.size, dtype=bool)
-    return _verdict(multiplier, family, tolerance, True, False, found, (math.nan, math.nan))
+    drifting = np.zeros_like(found)
+    return _verdict(multiplier, family, tolerance, True, drifting, found, (math.nan, math.nan))
 
 
 def _rigid_errors(multiplier, family, closure_residual, found):
@@ -114,20 +119,24 @@ def _rigid_errors(multiplier, family, closure_residual, found):
 def _verdict(multiplier, family, tolerance, periodic, drifting, found, errors):
     modulus, shape = np.abs(multiplier), family == "shape"
     nontrivial = found & (shape | (family == "axis tilt"))
+    growing = nontrivial & (modulus > 1.0 + tolerance)
     if not periodic:
-        verdict = "no periodic motion"
-    elif np.any(modulus[nontrivial] > 1.0 + tolerance[nontrivial]) or drifting:
-        verdict = "unstable"
+        verdict, among = "no periodic motion", np.zeros_like(shape)
+    elif growing.any():
+        verdict, among = "unstable", growing
+    elif drifting.any():
+        verdict, among = "unstable", drifting
     elif not found.all():
-        verdict = "undecided"
+        verdict, among = "undecided", nontrivial
     elif shape.any() and np.all(modulus[shape] < 1.0 - tolerance[shape]):
-        verdict = "asymptotically stable"
+        verdict, among = "asymptotically stable", shape
     else:
-        verdict = "neutral"
+        verdict, among = "neutral", shape if shape.any() else nontrivial
     return Judgement(
         verdict,
         tolerance,
         *errors,
         max_modulus=float(np.max(modulus[found], initial=0.0)),
         max_modulus_nontrivial=float(np.max(modulus[nontrivial], initial=0.0)),
+        deciding=int(np.argmax(np.where(among, modulus, -1.0))) if among.any() else -1,
     )
