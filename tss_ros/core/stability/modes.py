@@ -67,7 +67,11 @@ def stays_in_plane(integrator: Integrator, state: State) -> bool:
 
 
 def label(
-    integrator: Integrator, state: State, multiplier: np.ndarray, vectors: np.ndarray
+    integrator: Integrator,
+    state: State,
+    multiplier: np.ndarray,
+    vectors: np.ndarray,
+    exponent: np.ndarray | None = None,
 ) -> np.ndarray:
     """Family of every multiplier.
 
@@ -80,6 +84,8 @@ def label(
         All of them or some.
     vectors : ndarray, shape (6n, k), complex
         Eigenvectors, columns in scaled coordinates, velocities first.
+    exponent : ndarray, shape (k,), complex, optional
+        ln of the multipliers where it is known to whole cycles; else the nearest to zero.
 
     Returns
     -------
@@ -100,7 +106,9 @@ def label(
         _take(names, FAMILIES[0], moved, 2, *rest, above)
     else:
         _take(names, FAMILIES[0], moved, 6, *rest)
-    near = 1.0 / (1.0 + np.abs(np.log(np.where(rest[1], multiplier, 1.0))) / NEAR_ONE)
+    if exponent is None:
+        exponent = np.log(np.where(rest[1], multiplier, 1.0))
+    near = 1.0 / (1.0 + np.abs(exponent) / NEAR_ONE)
     along = _along(integrator, state, weight, halves) / whole
     _take(names, FAMILIES[1], near * (0.05 + 0.95 * along), 2, *rest, ~above)
     tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
