@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System
+from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.mean_model import mean_modes
 from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
@@ -18,6 +19,9 @@ from tss_ros.core.stability.result import FloquetResult
 DIRECTIONS = ("in plane", "out of plane", "mixed")
 #: Accuracy of the motion that modes are told by.
 RTOL = 1e-9
+#: Times of a turn at which a mode's phase is looked at, the least modulus of a multiplier whose mode
+#: is counted, and the least share of its largest part that the mode keeps.
+COUNTS, COUNTABLE, CLEAR = 32, 1e-3, 0.05
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,8 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     """The modes behind the multipliers of a result, in their order.
 
     Multipliers are paired, family by family, with the modes of the forces averaged over the turn:
-    with those whose shape and phase after a turn are nearest.
+    with those whose shape and phase after a turn are nearest. How often a mode oscillates in a turn
+    is counted along it, as its part in that of the mean forces goes round.
 
     Parameters
     ----------
@@ -96,10 +101,10 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     cycles = np.angle(rho) / (2.0 * math.pi)
     family = np.array(result.family)
     centre, spin = family == FAMILIES[0], family == FAMILIES[1]
-    of_mean = mean.frequency[paired]
-    of_mean[spin] = 0.0
-    of_mean[centre] = (np.abs(rho[centre] - 1.0) > NEAR_ONE) / abs(result.spin_rate_ratio)
-    frequency[alive] = (cycles + np.round(of_mean - cycles))[alive]
+    about = _counted(integrator, result, mean, paired)
+    about[spin] = 0.0
+    about[centre] = (np.abs(rho[centre] - 1.0) > NEAR_ONE) / abs(result.spin_rate_ratio)
+    frequency[alive] = (cycles + np.round(about - cycles))[alive]
     position = vectors.reshape(2, system.n, 3, -1)[1]
     above = _above(vectors)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
@@ -112,7 +117,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
             str(kinds[k]),
             float(abs(frequency[k])),
             int(mean.wave_number[paired[k]]),
-            _of_size_one(position[:, :, k]),
+            position[:, :, k] * _to_size_one(position[:, :, k]),
         )
         for k in range(rho.size)
     ]
@@ -134,10 +139,95 @@ def _above(vectors):
     return np.sum(square[:, 2], axis=0) / np.sum(square, axis=(0, 1))
 
 
+@dataclass(frozen=True)
+class ModeMotion:
+    """A mode along one turn, in the frame that turns with the formation.
+
+    Attributes
+    ----------
+    turns : ndarray, shape (k,)
+        Times from 0 to 1, over the period.
+    position_m : ndarray, shape (k, n, 3)
+        Undisturbed positions [m].
+    shape : ndarray, shape (k, n, 3), complex
+        Displacements, the largest at the start of size 1. A turn later they are the same times the
+        multiplier.
+    """
+
+    turns: np.ndarray
+    position_m: np.ndarray
+    shape: np.ndarray
+
+
+def mode_motion(system: System, result: FloquetResult, which: int, samples: int = 48) -> ModeMotion:
+    """How the mode behind one multiplier moves along the turn.
+
+    Parameters
+    ----------
+    system : System
+        That the result is of.
+    result : FloquetResult
+    which : int
+        Index of the multiplier, e.g. `FloquetResult.deciding`.
+    samples : int
+        In the turn; its end is added.
+
+    Returns
+    -------
+    ModeMotion
+
+    Raises
+    ------
+    TssError
+        If there is no such multiplier, or the result is of another system.
+    IntegrationError
+        If its motion cannot be continued.
+    """
+    if not 0 <= which < len(result.family):
+        raise TssError(f"the result has {len(result.family)} multipliers, none of index {which}")
+    integrator = _integrator(system, result)
+    vector = result.vectors[:, which : which + 1]
+    place, carried = _carried(integrator, result.state, vector, samples)
+    shape = carried.reshape(samples + 1, 2, system.n, 3)[:, 1]
+    return ModeMotion(np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]))
+
+
+def _carried(integrator, state, vectors, samples):
+    """Positions (s + 1, n, 3) and vectors (s + 1, 6n, k) carried along the turn from a state."""
+    motion = integrator.begin(state)
+    place, carried = [np.array(motion.r)], [vectors]
+    parts = np.concatenate([vectors.real, vectors.imag], axis=1)
+    for k in range(1, samples + 1):
+        stop = integrator.period_s * k / samples
+        motion, parts = carry_displacements(integrator, motion, parts, stop)
+        real, imaginary = np.split(parts, 2, axis=1)
+        place.append(np.array(motion.r))
+        carried.append(real + 1j * imaginary)
+    return np.array(place), np.array(carried)
+
+
+def _counted(integrator, result, mean, paired):
+    """Signed frequencies (k,) by counting; those of the mean forces where counts mean nothing."""
+    frequency = mean.frequency[paired]
+    rho = result.multiplier
+    counted = np.isin(result.family, FAMILIES[2:]) & (np.abs(rho) > COUNTABLE)
+    counted &= (rho.imag >= 0.0) & (np.abs(frequency) < COUNTS / 4)
+    if not counted.any():
+        return frequency
+    _, carried = _carried(integrator, result.state, result.vectors[:, counted], COUNTS)
+    weight = np.tile(np.repeat(integrator.system.mass_kg, 3), 2)[:, None]
+    part = np.sum((weight * mean.vectors[:, paired[counted]]).conj() * carried, axis=1)
+    part *= np.abs(rho[counted]) ** -(np.arange(COUNTS + 1)[:, None] / COUNTS)
+    angle = np.unwrap(np.angle(part), axis=0)
+    clear = np.min(np.abs(part), axis=0) > CLEAR * np.max(np.abs(part), axis=0)
+    cycles = (angle[-1] - angle[0]) / (2.0 * math.pi)
+    frequency[counted] = np.where(clear, cycles, frequency[counted])
+    return frequency
+
+
 def _pairs(integrator, result, mean):
     """The mode of the mean forces (k,) that each multiplier belongs to."""
-    weight = np.repeat(np.sqrt(integrator.system.mass_kg), 3)
-    weight = np.concatenate([weight, weight])[:, None]
+    weight = np.tile(np.repeat(np.sqrt(integrator.system.mass_kg), 3), 2)[:, None]
 
     def units(vectors):
         weighted = vectors * weight
@@ -156,8 +246,8 @@ def _pairs(integrator, result, mean):
     return rows[np.argsort(columns)]
 
 
-def _of_size_one(shape):
-    """A shape with its phase so that its largest displacement is real and of size 1."""
+def _to_size_one(shape):
+    """The factor that makes a shape's largest displacement real and of size 1."""
     largest = np.unravel_index(np.argmax(np.abs(shape)), shape.shape)
-    turned = shape * np.exp(-1j * np.angle(shape[largest]))
-    return turned / max(np.max(np.linalg.norm(turned, axis=1)), 1e-300)
+    size = max(np.max(np.linalg.norm(shape, axis=1)), 1e-300)
+    return np.exp(-1j * np.angle(shape[largest])) / size

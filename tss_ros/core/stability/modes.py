@@ -18,8 +18,9 @@ from tss_ros.core.model.system import State
 from tss_ros.core.motion.propagator import Integrator
 
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
-#: Scale of |ln rho| by which the spin's multipliers, at 1 in theory, are told from others.
-NEAR_ONE = 0.01
+#: How near to 1 the spin's multipliers are, in |ln rho|, and how near counts as no distance: those
+#: of overdamped tethers come close, and then turn with the spin as they relax.
+NEAR_ONE, AT_ONE = 0.01, 1e-4
 #: Multipliers that are lost in rounding, and so their vectors.
 LOST = 1e-10
 #: A formation this flat, over its radius, has no axis about which to tilt that way: the line of a
@@ -98,22 +99,26 @@ def label(
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
     above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
     moves = (weight[None] * np.eye(3)[:, None]).reshape(3, -1)
-    rest = (multiplier.size == 6 * n, np.abs(multiplier) > LOST)
+    every, alive = multiplier.size == 6 * n, np.abs(multiplier) > LOST
     names = np.full(multiplier.size, FAMILIES[3], dtype=object)
+
+    def take(family, score, room, sure, allowed):
+        """Name the best of the shapes that are allowed, the sure ones if not all are known."""
+        free = np.flatnonzero((names == FAMILIES[3]) & alive & allowed)
+        best = free[np.argsort(-score[free], kind="stable")][:room]
+        names[best if every else best[sure[best]]] = family
+
     moved = _share(moves, halves) / whole
-    if planar:
-        _take(names, FAMILIES[0], moved, 4, *rest, ~above)
-        _take(names, FAMILIES[0], moved, 2, *rest, above)
-    else:
-        _take(names, FAMILIES[0], moved, 6, *rest)
+    for allowed, room in ((~above, 4), (above, 2)) if planar else ((alive, 6),):
+        take(FAMILIES[0], moved, room, moved > 0.5, allowed)
     if exponent is None:
-        exponent = np.log(np.where(rest[1], multiplier, 1.0))
-    near = 1.0 / (1.0 + np.abs(exponent) / NEAR_ONE)
+        exponent = np.log(np.where(alive, multiplier, 1.0))
     along = _along(integrator, state, weight, halves) / whole
-    _take(names, FAMILIES[1], near * (0.05 + 0.95 * along), 2, *rest, ~above)
+    at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
+    take(FAMILIES[1], at_one, 2, (along > 0.5) & (np.abs(exponent) < NEAR_ONE), ~above)
     tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
-    _take(names, FAMILIES[2], tilted, 2 * len(tilts), *rest, above if planar else True)
+    take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
     return names
 
 
@@ -125,13 +130,6 @@ def flow_direction(integrator: Integrator, state: State) -> np.ndarray:
     a = np.empty_like(r)
     forces.acceleration(arrays, taut, 0.0, v, r, a)
     return integrator.scaled(a - rigid_velocity(v, integrator.arrays.spin), v)
-
-
-def _take(names, family, score, room, every, alive, allowed=True):
-    """Name the best of the shapes that are allowed, half of it at least if not all are known."""
-    free = np.flatnonzero((names == FAMILIES[3]) & alive & allowed)
-    best = free[np.argsort(-score[free], kind="stable")][:room]
-    names[best if every else best[score[best] > 0.5]] = family
 
 
 def _share(basis, halves):
