@@ -15,12 +15,15 @@ from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.mode_shapes import DIRECTIONS, Mode, compute_modes
 from tss_ros.core.stability.modes import FAMILIES
 from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
 
 __all__ = [
     "CAUSES",
+    "DIRECTIONS",
     "FAMILIES",
     "FORMATIONS",
     "LAW_PARAMETERS",
@@ -34,6 +37,7 @@ __all__ = [
     "FloquetResult",
     "IntegrationError",
     "CriticalRatesJob",
+    "Mode",
     "NoSteadyState",
     "Propagator",
     "FloquetJob",
@@ -45,6 +49,7 @@ __all__ = [
     "assemble",
     "averaged_state",
     "compute_floquet",
+    "compute_modes",
     "confirm",
     "deviation",
     "disturbed",
@@ -52,6 +57,7 @@ __all__ = [
     "find_critical_rates",
     "formation",
     "initial_state",
+    "name_resonance",
     "pushing_share",
     "ring",
     "sweep",

@@ -11,6 +11,8 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System, finite
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.resonances import name_resonance
+from tss_ros.core.stability.result import FloquetResult
 
 CAUSES = ("first slack", "axis tilt", "shape", "spin", "none found")
 
@@ -36,6 +38,9 @@ class CriticalRate:
         +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
     pushing_share : float
         Share of the time that taut tethers push, on the motion at the bracket's stable end.
+    resonance : str
+        Where multipliers leave the unit circle: the modes that meet and their condition, see
+        `name_resonance`; else "".
     """
 
     spin_rate_ratio: float
@@ -43,6 +48,7 @@ class CriticalRate:
     cause: str
     stable_side: int
     pushing_share: float = math.nan
+    resonance: str = ""
 
 
 def find_critical_rates(
@@ -116,24 +122,17 @@ class _Sample:
     ratio: float
     stable: bool
     slack: bool
-    cause: str
-    pushing_share: float
+    result: FloquetResult
+
+    @property
+    def cause(self):
+        return self.result.deciding_family or "none found"
 
 
 def _sample_at(system, ratio, cancelled):
     result = compute_floquet(system, ratio, certify=False, cancelled=cancelled)
     stable = result.verdict in ("neutral", "asymptotically stable")
-    cause = "none found"
-    if result.verdict == "unstable":
-        leaving = {
-            family: max(abs(m) for m, f in zip(result.multiplier, result.family) if f == family)
-            for family in ("axis tilt", "shape")
-            if family in result.family
-        }
-        cause = max(leaving, key=leaving.get, default="spin")
-        if not leaving or leaving[cause] <= 1.0 + result.tolerance:
-            cause = "spin"
-    return _Sample(ratio, stable, result.switches > 0, cause, result.pushing_share)
+    return _Sample(ratio, stable, result.switches > 0, result)
 
 
 def _bracket(system, a, b, tolerance, cancelled):
@@ -154,6 +153,7 @@ def _bracket(system, a, b, tolerance, cancelled):
             0.5 * (b.ratio - a.ratio),
             "first slack" if slack else worse.cause,
             1 if better is b else -1,
-            better.pushing_share,
+            better.result.pushing_share,
+            "" if slack else name_resonance(system, worse.result),
         )
     ]

@@ -17,8 +17,14 @@ from tss_ros.core.stability import families, harmonic_balance, leading_multiplie
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.frozen import frozen_jacobian
-from tss_ros.core.stability.judge import drift_radius, judge, judge_frozen
-from tss_ros.core.stability.modes import label
+from tss_ros.core.stability.judge import (
+    DRIVEN,
+    SMALLEST_DRIFT,
+    drift_radius,
+    judge,
+    judge_frozen,
+)
+from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import (
@@ -211,9 +217,10 @@ def _question(method, system, spin):
     }
 
 
-def _result(method, integrator, multiplier, family, judgement, residual=(), **known):
-    """The result of a judgement, largest modulus first."""
-    order = np.argsort(-np.abs(multiplier), kind="stable")
+def _result(method, integrator, spectrum, family, judgement, residual=(), **known):
+    """The result of a judgement of multipliers and vectors, largest modulus first."""
+    multiplier, vectors = spectrum
+    order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(
         **_question(method, integrator.system, integrator.arrays.spin),
         multiplier=multiplier[order],
@@ -221,10 +228,13 @@ def _result(method, integrator, multiplier, family, judgement, residual=(), **kn
         max_modulus=judgement.max_modulus,
         max_modulus_nontrivial=judgement.max_modulus_nontrivial,
         verdict=judgement.verdict,
+        deciding_modulus=float(abs(multiplier[decided])) if decided >= 0 else math.nan,
+        deciding_family=str(family[decided]) if decided >= 0 else "",
         tolerance=float(np.min(judgement.tolerance)),
         trivial_error=judgement.trivial_error,
         jordan_error=judgement.jordan_error,
         residual=np.asarray(residual)[order] if len(residual) else np.empty(0),
+        vectors=vectors[:, order],
         **known,
     )
 
@@ -234,16 +244,20 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
     certify, corrected = how
     start, loss = (motion.state, motion.spin_loss) if corrected else (motion, 0.0)
     turn = integrate_turn(integrator, start, cancelled)
-    seen, closed_by = look(integrator, start), turn.closure_residual
-    multiplier, vectors = np.linalg.eig(turn.matrix)  # Eqs. (25) and (27)
-    family = label(integrator.system, turn.start, multiplier, vectors)
-    drift = closed_by if not corrected else loss
-    judgement = judge(multiplier, family, drift, True)
+    seen = look(integrator, start)
+    planar = stays_in_plane(integrator, start)
+    multiplier, vectors = multipliers(turn.matrix, planar)  # Eqs. (25) and (27)
+    family, flow_error = label(integrator, start, multiplier, vectors), _flow_error(turn)
+    drift = DRIVEN * abs(integrator.arrays.spin / integrator.system.orbit_rate_rad_s) * loss
+    left = motion.residual if corrected else turn.closure_residual
+    radius = drift_radius(left, drift, flow_error * np.linalg.norm(turn.matrix, 2))
+    above = planar & (vectors[2::3] != 0.0).any(axis=0)
+    judgement = judge(multiplier, family, radius, True, drift=drift, above=above)
     proofs = {}
     if certify:
 
         def settled(values):
-            return np.abs(values - 1.0) > drift_radius(drift)
+            return np.abs(values - 1.0) > radius
 
         proofs = {
             "segment_error": segment_error(turn, settled, cancelled),
@@ -254,18 +268,15 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         words += f"; {turn.switches} slack/taut switches in the turn"
     if seen.never_taut:
         words += f"; never taut: {', '.join(seen.never_taut)}"
-    if (widest := np.max(judgement.tolerance)) > 1e-3:
-        words += (
-            f"; growth below {widest:.1e} a turn of multipliers near 1 is not told from"
-            " the drift of the spin"
-        )
+    if radius > SMALLEST_DRIFT:
+        words += f"; growth of the spin below {radius:.1e} a turn is not told from its drift"
     return _result(
-        "monodromy", integrator, multiplier, family, judgement,
-        closure_residual=closed_by,
-        initial_closure_residual=closed_by if not corrected else missed_by,
+        "monodromy", integrator, (multiplier, vectors), family, judgement,
+        closure_residual=left,
+        initial_closure_residual=missed_by if corrected else left,
         spin_loss=loss,
         det_z_error=_det_z_error(turn),
-        flow_error=_flow_error(turn),
+        flow_error=flow_error,
         switches=turn.switches,
         pushing_share=seen.pushing_share,
         state=turn.start,
@@ -289,14 +300,15 @@ def _leading(integrator, initial, count, correct, cancelled):
     end = integrator.scaled(motion.v, motion.r)
     closed_by = float(np.linalg.norm(end - to_scaled(integrator, start)))
     missed = flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
-    family = label(integrator.system, start, multiplier, vectors)
+    family = label(integrator, start, multiplier, vectors)
     found = residual <= leading_multipliers.CONVERGED * np.abs(multiplier)
     periodic = closed_by <= CLOSED or not correct
-    judgement = judge(multiplier, family, closed_by, periodic, residual, found)
+    radius = drift_radius(closed_by)
+    judgement = judge(multiplier, family, radius, periodic, error=residual, found=found)
     words = _origin(initial, initial_closure if correct else None)
     words += f"; {np.count_nonzero(found)} of {count} leading multipliers found in {turns} turns"
     return _result(
-        "monodromy", integrator, multiplier, family, judgement, residual,
+        "monodromy", integrator, (multiplier, vectors), family, judgement, residual,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
         flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
@@ -315,11 +327,11 @@ def _frozen(integrator, state, cancelled):
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
     matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
-    value, vectors = np.linalg.eig(matrix)  # Eq. (37)
+    value, vectors = multipliers(matrix, stays_in_plane(integrator, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
-    family = label(integrator.system, state, multiplier, vectors)
+    family = label(integrator, state, multiplier, vectors)
     return _result(
-        "frozen", integrator, multiplier, family, judge_frozen(multiplier, family),
+        "frozen", integrator, (multiplier, vectors), family, judge_frozen(multiplier, family),
         closure_residual=missed.residual,
         initial_closure_residual=missed.residual,
         switches=missed.switches,
