@@ -25,7 +25,7 @@ from tss_ros.core import (
     find_critical_rates,
     sweep,
 )
-from tss_ros.ros import messages, parameters
+from tss_ros.ros import parameters, stability_messages
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
 from tss_ros.stability_service import requests
@@ -169,7 +169,7 @@ class StabilityNode(TssNode):
         except Cancelled:
             raise
         except TssError as error:
-            return messages.failed_floquet_result(system, rate, str(error))
+            return stability_messages.failed_floquet_result(system, rate, str(error))
         # Without multipliers there is no motion that a simulation could be compared with.
         if request.confirm_turns and method == "monodromy" and result.family:
             try:
@@ -186,7 +186,13 @@ class StabilityNode(TssNode):
                 raise
             except TssError as error:
                 failure = f"; not confirmed: {error}"
-        message = messages.floquet_result(result, confirmation)
+        mode = None
+        if request.mode_samples and method == "monodromy" and result.deciding >= 0:
+            try:
+                mode = stability_messages.deciding_mode(system, result, request.mode_samples)
+            except TssError as error:
+                failure += f"; no mode: {error}"
+        message = stability_messages.floquet_result(result, confirmation, mode)
         message.message += failure
         self._publish(message)
         return message
@@ -205,7 +211,7 @@ class StabilityNode(TssNode):
             ),
             cancelled=self._stopping.is_set,
         )
-        response.rates = [messages.critical_rate(system, rate) for rate in found]
+        response.rates = [stability_messages.critical_rate(system, rate) for rate in found]
         return requests.left_out(low, high)
 
     def _sweep(self, goal, progress, result):
@@ -246,13 +252,13 @@ class StabilityNode(TssNode):
             if failed:
                 piece.message = str(outcome)
             else:
-                piece.rates = [messages.critical_rate(job.system, rate) for rate in outcome]
+                piece.rates = [stability_messages.critical_rate(job.system, rate) for rate in outcome]
         elif failed:
             piece.results = [
-                messages.failed_floquet_result(job.system, job.spin_rate_ratio, str(outcome))
+                stability_messages.failed_floquet_result(job.system, job.spin_rate_ratio, str(outcome))
             ]
         else:
-            piece.results = [messages.floquet_result(outcome)]
+            piece.results = [stability_messages.floquet_result(outcome)]
             self._publish(piece.results[0])
         return piece
 
