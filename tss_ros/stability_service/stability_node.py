@@ -25,7 +25,8 @@ from tss_ros.core import (
     find_critical_rates,
     sweep,
 )
-from tss_ros.ros import parameters, stability_messages
+from tss_ros.ros import parameters
+from tss_ros.ros import stability_messages as messages
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
 from tss_ros.stability_service import requests
@@ -169,7 +170,7 @@ class StabilityNode(TssNode):
         except Cancelled:
             raise
         except TssError as error:
-            return stability_messages.failed_floquet_result(system, rate, str(error))
+            return messages.failed_floquet_result(system, rate, str(error))
         # Without multipliers there is no motion that a simulation could be compared with.
         if request.confirm_turns and method == "monodromy" and result.family:
             try:
@@ -189,10 +190,10 @@ class StabilityNode(TssNode):
         mode = None
         if request.mode_samples and method == "monodromy" and result.deciding >= 0:
             try:
-                mode = stability_messages.deciding_mode(system, result, request.mode_samples)
+                mode = messages.deciding_mode(system, result, request.mode_samples)
             except TssError as error:
                 failure += f"; no mode: {error}"
-        message = stability_messages.floquet_result(result, confirmation, mode)
+        message = messages.floquet_result(result, confirmation, mode)
         message.message += failure
         self._publish(message)
         return message
@@ -211,7 +212,7 @@ class StabilityNode(TssNode):
             ),
             cancelled=self._stopping.is_set,
         )
-        response.rates = [stability_messages.critical_rate(system, rate) for rate in found]
+        response.rates = [messages.critical_rate(system, rate) for rate in found]
         return requests.left_out(low, high)
 
     def _sweep(self, goal, progress, result):
@@ -252,13 +253,13 @@ class StabilityNode(TssNode):
             if failed:
                 piece.message = str(outcome)
             else:
-                piece.rates = [stability_messages.critical_rate(job.system, rate) for rate in outcome]
+                piece.rates = [messages.critical_rate(job.system, rate) for rate in outcome]
         elif failed:
             piece.results = [
-                stability_messages.failed_floquet_result(job.system, job.spin_rate_ratio, str(outcome))
+                messages.failed_floquet_result(job.system, job.spin_rate_ratio, str(outcome))
             ]
         else:
-            piece.results = [stability_messages.floquet_result(outcome)]
+            piece.results = [messages.floquet_result(outcome)]
             self._publish(piece.results[0])
         return piece
 
