@@ -192,8 +192,9 @@ def _beads(arrays, series, block, k, weight):
     gx, gy, gz = bead_series(
         arrays, series.r, 3 * WIDTH * size * block, series.beads, at, k
     )
+    x, y, _ = load3(series.r, now)
     vx, vy, _ = load3(series.r, now + 3 * WIDTH)
-    fx, fy = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
+    fx, fy = inertia(x, y, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1), arrays.drive)
     store3(series.r, now + 6 * WIDTH, weight * (gx + fx), weight * (gy + fy), weight * gz)
 
 

@@ -17,7 +17,7 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from tss_ros.core.fingerprint import fingerprint
+from tss_ros.core.fingerprint import KERNELS, fingerprint
 
 
 def _cached(**options):
@@ -28,7 +28,7 @@ def _cached(**options):
 
     def decorate(function):
         dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
-        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        dispatcher._cache._cache_file._source_stamp = fingerprint(KERNELS)
         return dispatcher
 
     return decorate

@@ -14,7 +14,7 @@ from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import FloquetResult
 
-CAUSES = ("first slack", "axis tilt", "shape", "spin", "no periodic motion")
+CAUSES = ("first slack", "axis tilt", "shape", "spin", "none found")
 
 #: Slower spin than this is left out of an interval: one turn becomes longer than twenty orbits.
 SLOWEST = 0.05
@@ -126,7 +126,7 @@ class _Sample:
 
     @property
     def cause(self):
-        return self.result.deciding_family or "no periodic motion"
+        return self.result.deciding_family or "none found"
 
 
 def _sample_at(system, ratio, cancelled):

@@ -132,7 +132,7 @@ def _integrator(system, result):
             f" {system.n}"
         )
     size = np.max(np.linalg.norm(result.state.position_m, axis=1))
-    return Integrator(system, result.spin_rate_rad_s, RTOL, size)
+    return Integrator(system, result.spin_rate_rad_s, RTOL, size).driven(result.spin_loss)
 
 
 def _above(vectors):

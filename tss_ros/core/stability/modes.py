@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tss_ros.core.model import forces
-from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.stability.shooting import flow_direction
 
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
 #: How near to 1 the spin's multipliers are, in |ln rho|, and how near counts as no distance: those
@@ -120,16 +119,6 @@ def label(
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
     take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
     return names
-
-
-def flow_direction(integrator: Integrator, state: State) -> np.ndarray:
-    """Derivative of the scaled coordinates (6n,) along the motion, in the orbit frame's flow."""
-    arrays = integrator.arrays._replace(spin=0.0)
-    r, v = np.ascontiguousarray(state.position_m), np.ascontiguousarray(state.velocity_m_s)
-    taut = forces.acting_tethers(integrator.system, r, v)
-    a = np.empty_like(r)
-    forces.acceleration(arrays, taut, 0.0, v, r, a)
-    return integrator.scaled(a - rigid_velocity(v, integrator.arrays.spin), v)
 
 
 def _share(basis, halves):

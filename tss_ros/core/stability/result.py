@@ -9,7 +9,7 @@ from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
 
 METHODS = ("monodromy", "frozen")
-VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion", "undecided")
+VERDICTS = ("unstable", "neutral", "asymptotically stable", "none found", "undecided")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +48,10 @@ class FloquetResult:
     closure_residual : float
         |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
         speed.
+    spin_loss : float
+        Share of the spin that damping takes in a turn. The motion analysed closes because a drive
+        gives it back; the true one slows down by so much. 0 without correction, NaN where no
+        motion was found.
     initial_closure_residual : float
         The same for the start as given, before any correction; infinite if that turn cannot be
         integrated.
@@ -98,12 +102,13 @@ class FloquetResult:
     family: tuple[str, ...] = ()
     max_modulus: float = math.nan
     max_modulus_nontrivial: float = math.nan
-    verdict: str = "no periodic motion"
+    verdict: str = "none found"
     deciding_modulus: float = math.nan
     deciding_family: str = ""
     tolerance: float = math.nan
     closure_residual: float = math.nan
     initial_closure_residual: float = math.nan
+    spin_loss: float = math.nan
     trivial_error: float = math.nan
     jordan_error: float = math.nan
     det_z_error: float = math.nan
