@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ import yaml
 
 from tss_ros import plots
 from tss_ros.bags.recording import Recording, read_bag
-from tss_ros.core import TssError
+from tss_ros.core import TssError, in_words
 from tss_ros.scenarios.laws import law_in_words, laws_in_words
 from tss_ros.scenarios.scenario import read_text
 
@@ -77,9 +78,11 @@ def describe(recording: Recording) -> str:
     ]
     for result in r.stability:
         verdict = result.verdict or result.message
+        decided = (result.deciding_family, result.deciding_modulus, math.nan)
+        by = f"by {words}, " if (words := in_words(*decided)) else ""
         lines.append(
             f"stability     {result.spin_rate_ratio:g} Omega: {verdict}, "
-            f"max |rho| {result.max_modulus:.6f}, "
+            f"{by}max |rho| {result.max_modulus:.6f}, "
             f"{law_in_words(result.tether_law, result.pushing_share)}"
         )
     for law in (r.system.law, *r.system.acting_laws):
@@ -136,9 +139,18 @@ def _plot(r, options):
             law=laws_in_words((result.tether_law, result.pushing_share) for result in r.stability),
         )
     options.output.mkdir(parents=True, exist_ok=True)
+    modes = {
+        f"mode_{result.spin_rate_ratio:g}": plots.mode_of(result)
+        for result in r.stability if result.mode
+    }  # fmt: skip
+    figures |= {name: plots.mode_shape(mode) for name, mode in modes.items()}
     for name, figure in figures.items():
         path = options.output / f"{name}.{options.format}"
         figure.savefig(path)
+        print(path)
+    for name, mode in modes.items():
+        path = options.output / f"{name}.gif"
+        plots.save_mode_animation(mode, path)
         print(path)
 
 
@@ -216,7 +228,7 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
     }
     if r.stability:
         names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
-        names += ("tether_law", "pushing_share", "message")
+        names += ("deciding_modulus", "deciding_family", "tether_law", "pushing_share", "message")
         found["stability"] = pa.table({n: [getattr(s, n) for s in r.stability] for n in names})
     return found
 

@@ -3,8 +3,15 @@
 import math
 from typing import Any
 
-#: By field: every tether was the paper's, and nobody had counted how often taut tethers pushed.
-UNSAID = {"tether_law": "kelvin_voigt", "pushing_share": math.nan}
+#: By field: every tether was the paper's, nobody had counted how often taut tethers pushed, and
+#: results did not say which multiplier decided.
+UNSAID = {
+    "tether_law": "kelvin_voigt",
+    "pushing_share": math.nan,
+    "deciding_modulus": math.nan,
+    "deciding_family": "",
+    "mode": (),
+}
 
 
 def completed(result: Any) -> Any:

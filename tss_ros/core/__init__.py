@@ -15,11 +15,17 @@ from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
-from tss_ros.core.stability.mode_shapes import DIRECTIONS, Mode, compute_modes
+from tss_ros.core.stability.mode_shapes import (
+    DIRECTIONS,
+    Mode,
+    ModeMotion,
+    compute_modes,
+    mode_motion,
+)
 from tss_ros.core.stability.modes import FAMILIES
 from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
 from tss_ros.core.stability.resonances import name_resonance
-from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
+from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 
 __all__ = [
     "CAUSES",
@@ -38,6 +44,7 @@ __all__ = [
     "IntegrationError",
     "CriticalRatesJob",
     "Mode",
+    "ModeMotion",
     "NoSteadyState",
     "Propagator",
     "FloquetJob",
@@ -56,7 +63,9 @@ __all__ = [
     "elastic_energy",
     "find_critical_rates",
     "formation",
+    "in_words",
     "initial_state",
+    "mode_motion",
     "name_resonance",
     "pushing_share",
     "ring",

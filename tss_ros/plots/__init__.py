@@ -6,12 +6,17 @@ Figures are built without pyplot, so they share no state and need no screen; the
 from matplotlib.figure import Figure
 
 from tss_ros.plots.charts import stability, stability_map
+from tss_ros.plots.mode_shapes import mode_of, mode_shape, save_mode_animation, shown_mode
 from tss_ros.plots.motions import balance, deviation, tethers, trajectories
 
 __all__ = [
     "Figure",
     "balance",
     "deviation",
+    "mode_of",
+    "mode_shape",
+    "save_mode_animation",
+    "shown_mode",
     "stability",
     "stability_map",
     "tethers",

@@ -22,7 +22,7 @@ from tss_interfaces.msg import Confirmation, FloquetResult
 from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
-from tss_ros.core import TssError
+from tss_ros.core import TssError, in_words
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
@@ -33,6 +33,8 @@ GONE_S = 5.0
 BATCH = 4
 #: What must be small for a result to be right; a jordan_error is the root of such an error.
 ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
+#: Times of a turn at which a mode is drawn.
+MODE_SAMPLES = 48
 #: Parameters whose values are texts.
 TEXTS = {parameter.name for parameter in OVERRIDES if parameter.type is str}
 #: Headings, and formats of what `flat` makes of a result.
@@ -40,7 +42,7 @@ TABLE = (
     ("rate/Omega", "{spin_rate_ratio:.6g}"),
     ("period [s]", "{period_s:.1f}"),
     ("max |rho|", "{max_modulus:.6f}"),
-    ("non-trivial", "{max_modulus_nontrivial:.6f}"),
+    ("decided by", "{decided_by}"),
     ("verdict", "{verdict}"),
     ("tether law", "{tether_law}"),
     ("pushing", "{pushing_share:.1%}"),
@@ -66,6 +68,7 @@ def compute(
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
     confirm_turns: int = 0,
+    mode_samples: int = 0,
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
@@ -86,6 +89,8 @@ def compute(
         How long to wait for the service to appear [s].
     confirm_turns : int
         Length of a disturbed simulation beside every verdict [turns]; 0 for none.
+    mode_samples : int
+        Times of a turn at which the mode that decided is wanted; 0 for none.
 
     Returns
     -------
@@ -121,6 +126,7 @@ def compute(
                 method=method,
                 overrides=list(overrides),
                 confirm_turns=confirm_turns,
+                mode_samples=mode_samples,
             )
             answer = client.call_async(request)
             seen = time.monotonic()
@@ -142,12 +148,15 @@ def compute(
 def flat(result: FloquetResult) -> dict[str, Any]:
     """All fields of a result but the multipliers as a dict.
 
-    Those of its confirmation are named confirmation_*, NaN if there is none; `error` is the largest
-    of `ERRORS` that is known.
+    `decided_by` says in words what decided. The fields of its confirmation are named
+    confirmation_*, NaN if there is none; `error` is the largest of `ERRORS` that is known.
     """
     fields = FloquetResult.get_fields_and_field_types().items()
     cells = {name: getattr(result, name) for name, kind in fields if "sequence" not in kind}
     errors = [cells[f"{name}_error"] for name in ERRORS]
+    cells["decided_by"] = in_words(
+        result.deciding_family, result.deciding_modulus, result.closure_residual
+    )
     cells["error"] = max((e for e in errors if not math.isnan(e)), default=math.nan)
     for name in Confirmation.get_fields_and_field_types():
         values = [getattr(confirmation, name) for confirmation in result.confirmation]
@@ -174,7 +183,7 @@ def format_table(
     cells = [flat(result) for result in results]
     rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
-    left = {"verdict", "tether law", "message"}
+    left = {"decided by", "verdict", "tether law", "message"}
     return "\n".join(
         "  ".join(
             cell.ljust(width) if heading in left else cell.rjust(width)
@@ -228,6 +237,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.override,
             show,
             confirm_turns=options.confirm,
+            mode_samples=MODE_SAMPLES if options.mode_shape else 0,
         )
         if show:
             print(file=sys.stderr)
@@ -236,6 +246,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             write_csv(results, options.csv)
         if options.plot:
             figure(results, options.method).savefig(options.plot)
+        if options.mode_shape:
+            _draw_mode(results[0], options.mode_shape)
     except (*USER_ERRORS, NameValidationException, ValueError) as error:
         print(f"stability: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
@@ -244,6 +256,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
     return 0 if all(result.verdict for result in results) else 1
+
+
+def _draw_mode(result, path):
+    if not result.mode:
+        raise TssError(
+            f"no multiplier decided at {result.spin_rate_ratio:g}, so no mode can be drawn:"
+            f" {result.verdict or 'failed'}; {result.message}"
+        )
+    mode = plots.mode_of(result)
+    if path.suffix.lower() == ".gif":
+        plots.save_mode_animation(mode, path)
+    else:
+        plots.mode_shape(mode).savefig(path)
 
 
 def _parse(arguments):
@@ -284,6 +309,12 @@ def _parse(arguments):
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
     )
+    parser.add_argument(
+        "--mode-shape",
+        type=Path,
+        metavar="FILE",
+        help="draw the mode that decided the verdict at the only rate (gif: moving; png, pdf, ...)",
+    )
     parser.add_argument("--node", default="stability_node", help="default %(default)s")
     # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
     options = parser.parse_intermixed_args(
@@ -299,6 +330,8 @@ def _parse(arguments):
         options.rates += np.linspace(options.first, options.last, options.count).tolist()
     if not options.rates:
         parser.error("give spin rates, or a range with --from and --to")
+    if options.mode_shape and len(options.rates) != 1:
+        parser.error(f"--mode-shape is of one rate, got {len(options.rates)}")
     return options
 
 

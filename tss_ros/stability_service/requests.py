@@ -40,6 +40,9 @@ SEARCH = (
 #: The simulation beside a verdict; how many turns are allowed depends on the system.
 CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)
 DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets", "m", 1e-6, 1e6)
+#: Times of a turn at which a mode may be asked for, and those of all rates together times beads.
+MODE_SAMPLES = Parameter("mode_samples", int, "Times of a turn", minimum=0, maximum=500)
+MAX_MODE_PLACES = 200_000
 _VARIED = {parameter.name: parameter for parameter in VARIED}
 
 
@@ -104,6 +107,8 @@ def check_floquet(request: ComputeFloquet.Request, system: System) -> tuple[str,
             f"spin_rate_ratio has {rates} rates; "
             f"allowed: 1 to {most} for {system.n} beads{simulated}"
         )
+    most = min(MODE_SAMPLES.maximum, MAX_MODE_PLACES // (rates * system.n))
+    replace(MODE_SAMPLES, maximum=most).check(request.mode_samples)
     return method, turns
 
 

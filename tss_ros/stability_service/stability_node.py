@@ -25,7 +25,8 @@ from tss_ros.core import (
     find_critical_rates,
     sweep,
 )
-from tss_ros.ros import messages, parameters
+from tss_ros.ros import parameters
+from tss_ros.ros import stability_messages as messages
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
 from tss_ros.stability_service import requests
@@ -186,7 +187,13 @@ class StabilityNode(TssNode):
                 raise
             except TssError as error:
                 failure = f"; not confirmed: {error}"
-        message = messages.floquet_result(result, confirmation)
+        mode = None
+        if request.mode_samples and method == "monodromy" and result.deciding >= 0:
+            try:
+                mode = messages.deciding_mode(system, result, request.mode_samples)
+            except TssError as error:
+                failure += f"; no mode: {error}"
+        message = messages.floquet_result(result, confirmation, mode)
         message.message += failure
         self._publish(message)
         return message

@@ -19,8 +19,8 @@ from tss_ros.core.stability.result import FloquetResult
 DIRECTIONS = ("in plane", "out of plane", "mixed")
 #: Accuracy of the motion that modes are told by.
 RTOL = 1e-9
-#: Times of a turn at which a mode's phase is looked at, the least modulus of a multiplier whose mode
-#: is counted, and the least share of its largest part that the mode keeps.
+#: Times of a turn at which a mode's phase is looked at; the least modulus of a multiplier whose
+#: mode is counted, and the least share of its largest part that the mode keeps.
 COUNTS, COUNTABLE, CLEAR = 32, 1e-3, 0.05
 
 
@@ -86,7 +86,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     Raises
     ------
     TssError
-        If the result is of another system.
+        If the result is of another system, or not of the motion.
     IntegrationError
         If its motion cannot be continued.
     """
@@ -124,6 +124,8 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
 
 
 def _integrator(system, result):
+    if result.method != "monodromy":
+        raise TssError(f"modes are those of the motion, but the result's method is {result.method}")
     if result.vectors.shape[0] != 6 * system.n:
         raise TssError(
             f"the result has vectors of {result.vectors.shape[0] // 6} beads, the system has"

@@ -143,7 +143,7 @@ class FloquetResult:
 
 
 def in_words(family: str, modulus: float, closure_residual: float) -> str:
-    """What decided a verdict: the family and modulus of a multiplier, else the closure residual."""
+    """What decided a verdict: family and modulus of a multiplier, else the closure residual."""
     if family:
         return f"{family} {modulus:.6f}"
     return "" if math.isnan(closure_residual) else f"closure {closure_residual:.1e}"
