@@ -94,7 +94,7 @@ def test_every_verdict_has_a_marker_of_its_own():
     assert len(set(markers)) == len(markers) == len(VERDICT_STYLES)
 
 
-VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "no periodic motion"]
+VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "none found"]
 RATES, MODULI = [-2.5, -1.5, -3.0, -2.0, -1.0], [1.001, 7.9, 1.0, np.nan, 40.0]
 
 

@@ -113,7 +113,7 @@ def test_of_many_jobs_the_motions_own_verdicts_are_counted(finished, monkeypatch
     with Store(finished, question()) as store:
         lines = [line.split(maxsplit=1) for line in command.table(question(), store).splitlines()]
     # At -2.5 both are stable, at -1.25 tethers go slack; 0 fails, and frozen, all seem stable.
-    assert lines[:2] == [["2", "asymptotically stable"], ["2", "no periodic motion"]]
+    assert lines[:2] == [["2", "asymptotically stable"], ["2", "none found"]]
     assert all(int(count) >= 1 for count, _ in lines[2:-1])
     assert re.fullmatch(r"law kelvin_voigt, taut tethers push .* to .* % of the time", lines[-1][1])
 

@@ -171,13 +171,12 @@ class StabilityNode(TssNode):
             raise
         except TssError as error:
             return messages.failed_floquet_result(system, rate, str(error))
-        # Without multipliers there is no motion that a simulation could be compared with.
-        if request.confirm_turns and method == "monodromy" and result.family:
+        if request.confirm_turns and method == "monodromy":
             try:
                 confirmation = confirm(
                     system,
                     rate,
-                    result.state,
+                    result.state if result.family else None,
                     request.confirm_disturbance_m,
                     request.confirm_seed,
                     request.confirm_turns,

@@ -158,12 +158,19 @@ def _simulation(row):
     if row["error"] or row["simulated_held"] is None:
         return f"{words}  nothing to simulate: {row['error'] or row['message']}"
     held = "held" if row["simulated_held"] else "lost"
-    agrees = {True: "agrees", False: "DISAGREES", None: "too slow to tell"}
+    agrees = {True: "agrees", False: "DISAGREES", None: _untold(row)}
     return (
         f"{words}  by {_decided(row)}  simulated: {held},"
         f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
         f" {row['simulated_switches']} switches: {agrees[row['agrees']]}{_pushing(row)}"
     )
+
+
+def _untold(row):
+    """Why a simulation neither agrees nor disagrees with a verdict."""
+    if row["verdict"] != "unstable":
+        return "settles in another motion"
+    return f"too slow to tell, {row['turns_that_tell']} turns would"
 
 
 def _counts(question, store):

@@ -19,6 +19,7 @@ from tss_ros.core import (
     State,
     TssError,
 )
+from tss_ros.core.stability.confirmation import turns_that_tell
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import VARIED
 from tss_ros.sweeps import software
@@ -54,6 +55,7 @@ class Boundaries:
                     if seen is not None:
                         row |= {f"simulated_{name}": v for name, v in _cells(seen).items()}
                         row["agrees"] = seen.agrees_with(result)
+                        row["turns_that_tell"] = turns_that_tell(result)
                 except Cancelled:
                     raise
                 except TssError as error:
@@ -211,7 +213,7 @@ class Question:
             | {"critical_rate": float}
             | floquet
             | simulated
-            | {"agrees": bool}
+            | {"agrees": bool, "turns_that_tell": int}
             | why,
         }
 

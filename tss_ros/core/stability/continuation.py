@@ -208,18 +208,21 @@ def bisected(
     Point, Point
         The last for which it holds, and the first for which it does not.
     """
-    equations = curve.equations
-    weight = weights(equations, a.solution.y)
-    tangent = a.tangent
-    low, high = 0.0, float(np.sum(weight**2 * tangent * (b.solution.y - a.solution.y)))
-    last, first = a, b
+    equations, last, first = curve.equations, a, b
+    low, high = 0.0, _ahead(equations, a, b)
     while high - low > tolerance:
-        middle = 0.5 * (low + high)
-        trial = beside(equations, a, middle, curve.whole)
+        step = 0.5 * _ahead(equations, last, first)
+        trial = beside(equations, last, step, curve.whole) if step > 0.0 else None
         if trial is None:
             break
         if holds(trial):
-            last, low = trial, middle
+            last, low = trial, low + step
         else:
-            first, high = trial, middle
+            first, high = trial, low + step
     return last, first
+
+
+def _ahead(equations, a, b):
+    """How far the point `b` lies ahead along the tangent of `a`."""
+    weight = weights(equations, a.solution.y)
+    return float(np.sum(weight**2 * a.tangent * (b.solution.y - a.solution.y)))

@@ -11,6 +11,7 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System, finite
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.krein import may_meet
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import FloquetResult
 
@@ -33,14 +34,15 @@ class CriticalRate:
     cause : str
         One of `CAUSES`: "first slack" if tethers let go on one side and on the other do not, that
         is, go slack or, where their law never pushes, stop pulling (the motion may stay stable a
-        little further); else the family that leaves the unit circle.
+        little further); "none found" where the family of the formation's motions ends; else the
+        family of the multiplier that leaves the unit circle.
     stable_side : int
         +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
     pushing_share : float
         Share of the time that taut tethers push, on the motion at the bracket's stable end.
     resonance : str
         Where multipliers leave the unit circle: the modes that meet and their condition, see
-        `name_resonance`; else "".
+        `name_resonance`. Where the family ends: how. Else "".
     """
 
     spin_rate_ratio: float
@@ -70,7 +72,9 @@ def find_critical_rates(
     tolerance : float
         Half-width to which every boundary is bracketed.
     spacing : float
-        Distance of the first samples; stable or unstable pockets narrower than this may be missed.
+        Distance of the first samples. Narrower bands of instability out of the orbit plane are
+        found as well, where multipliers pass each other between two samples; other pockets that are
+        narrower may be missed.
     progress : callable, optional
         Called with the fraction of the work done, from 0 to 1, and the boundaries found so far.
     cancelled : callable, optional
@@ -137,7 +141,10 @@ def _sample_at(system, ratio, cancelled):
 
 def _bracket(system, a, b, tolerance, cancelled):
     """Boundaries between two samples, in order; none where both are alike."""
-    if (a.stable, a.slack) == (b.stable, b.slack) or not (a.stable or b.stable):
+    if not (a.stable or b.stable):
+        return []
+    alike = (a.stable, a.slack) == (b.stable, b.slack)
+    if alike and not may_meet(system, a.result, b.result):
         return []
     if b.ratio - a.ratio > 2.0 * tolerance:
         middle = _sample_at(system, 0.5 * (a.ratio + b.ratio), cancelled)
@@ -145,8 +152,12 @@ def _bracket(system, a, b, tolerance, cancelled):
             *_bracket(system, a, middle, tolerance, cancelled),
             *_bracket(system, middle, b, tolerance, cancelled),
         ]
+    if alike:
+        return []
     better, worse = (a, b) if (a.stable, not a.slack) > (b.stable, not b.slack) else (b, a)
-    slack = worse.stable or (worse.slack and not better.slack and worse.cause != "axis tilt")
+    slack = worse.stable or (
+        worse.slack and not better.slack and worse.cause not in ("axis tilt", "none found")
+    )
     return [
         CriticalRate(
             0.5 * (a.ratio + b.ratio),
@@ -154,6 +165,13 @@ def _bracket(system, a, b, tolerance, cancelled):
             "first slack" if slack else worse.cause,
             1 if better is b else -1,
             better.result.pushing_share,
-            "" if slack else name_resonance(system, worse.result),
+            "" if slack else _why(system, worse.result),
         )
     ]
+
+
+def _why(system, result):
+    """What ends stability at a result that is not stable, in words."""
+    if result.verdict == "unstable":
+        return name_resonance(system, result)
+    return result.message.split(";")[0]

@@ -220,7 +220,8 @@ class _Front:
         self._made += 1
         turned = before.tangent[-1] * point.tangent[-1] < 0.0
         if turned:
-            middle = self._bisected(before, point, lambda p: p.tangent[-1] * before.tangent[-1] > 0.0)
+            sign = before.tangent[-1]
+            middle = self._bisected(before, point, lambda p: p.tangent[-1] * sign > 0.0)
             self._folds.append((self._farthest, middle.parameter))
             if before.tangent[-1] * self._sense > 0.0:
                 self._reach(before, middle)
@@ -353,7 +354,8 @@ def nearest_motion(
     for part in (symmetry, none) if symmetry.order > 1 else (none,):
         equations = rate_equations(system, start, part, cancelled)
         try:
-            found.append(closed(equations, solve(equations, equations.vector(start, ratio)), origin))
+            solution = solve(equations, equations.vector(start, ratio))
+            found.append(closed(equations, solution, origin))
         except IntegrationError as error:
             failure = error
             continue

@@ -24,7 +24,7 @@ from tss_ros.core.stability.judge import (
     judge,
     judge_frozen,
 )
-from tss_ros.core.stability.modes import label
+from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import (
@@ -142,7 +142,8 @@ def _search(integrator, state, cancelled):
         return _near(integrator, ratio, state, cancelled)
     if system.n > families.MOST_BEADS:
         motion, words = _first_of_starts(integrator, ratio, cancelled)
-        return motion, f"{words}; not followed from fast spin: more than {families.MOST_BEADS} beads"
+        words += f"; not followed from fast spin, having more than {families.MOST_BEADS} beads"
+        return motion, words
     try:
         motion = families.own_motion(system, ratio, cancelled)
         return motion, f"start from {motion.origin}"
@@ -240,7 +241,7 @@ def _result(method, integrator, spectrum, family, judgement, residual=(), **know
 
 
 def _whole(integrator, motion, words, missed_by, how, cancelled):
-    """The result of a motion with its whole matrix; `how`: whether to certify, and it was closed."""
+    """The result of a motion with its whole matrix; how: whether to certify, whether it closes."""
     certify, corrected = how
     start, loss = (motion.state, motion.spin_loss) if corrected else (motion, 0.0)
     turn = integrate_turn(integrator, start, cancelled)

@@ -24,8 +24,8 @@ from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
 SPIN_RATE_RATIO = "spin_rate_ratio"
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
-#: a pair does; tethers begin to go slack.
-KINDS = ("fold", "branch point", "period doubling", "torus", "first slack")
+#: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go slack.
+KINDS = ("fold", "branch point", "period doubling", "torus", "spin divergence", "first slack")
 #: Largest step, and distance to which special points are located, over the parameter.
 LONGEST_STEP, TOLERANCE = 0.04, 1e-7
 #: Imaginary part, over the modulus, of multipliers that count as real.
@@ -261,6 +261,12 @@ class _Run:
             while len(self.points) < most_points:
                 after = self._seen(self.curve.advance())
                 self._locate(before, after)
+                if after.point.solution.y[-3] > families.MOST_LOSS:
+                    ended = (
+                        f"damping takes more than {families.MOST_LOSS:.0%} of the spin in a turn"
+                        f" beyond {before.point.parameter:.6g}"
+                    )
+                    break
                 value = after.point.parameter
                 if (value - self.stop) * self.sense >= 0.0:
                     self._keep(self._last(after))
@@ -287,7 +293,7 @@ class _Run:
         integrator, state = equations.integrator(y), equations.state(y)
         matrix = np.linalg.matrix_power(point.linear.matrix, equations.symmetry.order)
         return _Seen(
-            point, spectrum(integrator, state, state, matrix, point.solution.residual, float(y[-3]))
+            point, spectrum(integrator, state, None, matrix, point.solution.residual, float(y[-3]))
         )
 
     def _last(self, beyond):
@@ -341,9 +347,10 @@ class _Run:
             )
         folds = [point.parameter for point in found if point.kind == "fold"]
         for point in found:
-            # At a fold a multiplier passes 1; that is the fold, not a branch point beside it.
+            # At a fold a multiplier passes 1; that is the fold, nothing beside it.
             near = 1e-4 * self.equations.unit(a.point.solution.y)
-            if point.kind != "branch point" or all(abs(point.parameter - f) > near for f in folds):
+            at_one = point.kind in ("branch point", "spin divergence")
+            if not at_one or all(abs(point.parameter - fold) > near for fold in folds):
                 self.special.append(point)
 
     def _bracket(self, kind, a, b, holds):
@@ -385,7 +392,9 @@ def _leaving(found, outside):
     candidates = np.flatnonzero(outside)
     which = candidates[np.argmin(np.abs(found.multiplier[candidates]))]
     rho = complex(found.multiplier[which])
-    if abs(rho.imag) > REAL * abs(rho):
+    if found.family[which] == "spin":
+        kind = "spin divergence"
+    elif abs(rho.imag) > REAL * abs(rho):
         kind = "torus"
     else:
         kind = "branch point" if rho.real > 0.0 else "period doubling"

@@ -114,7 +114,8 @@ def judge(
         trivial = np.max(on_circle[simple & part], initial=0.0)
         tolerance[part] = np.maximum(tolerance, TRIVIAL_ERRORS * np.maximum(trivial, error))[part]
     jordan = float(np.max(on_circle[blocks], initial=0.0))
-    near = from_one <= radius
+    # A double multiplier at 1 splits to both sides, so this is for those outside alone.
+    near = (from_one <= radius) & (np.abs(multiplier) > 1.0)
     tolerance[near] = np.maximum(tolerance[near], min(JORDAN_ERRORS * jordan, radius))
     drifting = found & (family == "spin") & (np.abs(multiplier) > 1.0 + radius)
     errors = float(np.max(on_circle[simple], initial=0.0)), jordan
@@ -133,10 +134,8 @@ def _rigid(family, from_one, radius, found):
     """Which multipliers theory puts on the unit circle: simple ones, and those at 1 in blocks."""
     centre = np.flatnonzero(found & (family == FAMILIES[0]))
     centre = centre[np.argsort(-from_one[centre])]
-    if centre.size == CENTRE:
-        count = SIMPLE
-    else:
-        count = np.count_nonzero(from_one[centre] > radius)
+    far = np.count_nonzero(from_one[centre] > radius)
+    count = SIMPLE if centre.size == CENTRE else far
     simple, blocks = np.zeros((2, family.size), dtype=bool)
     simple[centre[:count]] = blocks[centre[count:]] = True
     return simple, blocks | (found & (family == "spin"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ class Spectrum:
 def spectrum(
     integrator: Integrator,
     start: State,
-    end: State,
+    end: State | None,
     matrix: np.ndarray,
     residual: float,
     loss: float,
@@ -61,7 +62,9 @@ def spectrum(
     ----------
     integrator : Integrator
         With the drive that closes the motion, if there is one.
-    start, end : State
+    start : State
+    end : State or None
+        After the turn, to measure the matrix's error by; None if it is not to be measured.
     matrix : ndarray, shape (6n, 6n)
         Monodromy matrix, Eq. (26).
     residual : float
@@ -76,12 +79,15 @@ def spectrum(
     planar = stays_in_plane(integrator, start)
     multiplier, vectors = multipliers(matrix, planar)  # Eqs. (25) and (27)
     family = label(integrator, start, multiplier, vectors)
-    before, after = (flow_direction(integrator, state) for state in (start, end))
-    # M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28).
-    flow_error = float(np.max(np.abs(matrix @ before - after)) / np.max(np.abs(before)))
+    error, flow_error = integrator.rtol, math.nan
+    if end is not None:
+        before, after = (flow_direction(integrator, state) for state in (start, end))
+        # M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28).
+        left = matrix @ before - after
+        error = flow_error = float(np.max(np.abs(left)) / np.max(np.abs(before)))
     ratio = integrator.arrays.spin / integrator.system.orbit_rate_rad_s
     drift = DRIVEN * abs(ratio) * loss
-    radius = drift_radius(residual, drift, flow_error * float(np.linalg.norm(matrix, 2)))
+    radius = drift_radius(residual, drift, error * float(np.linalg.norm(matrix, 2)))
     above = planar & (vectors[2::3] != 0.0).any(axis=0)
     judgement = judge(multiplier, family, radius, True, drift=drift, above=above)
     return Spectrum(multiplier, vectors, family, judgement, radius, flow_error)
