@@ -24,7 +24,7 @@ from tss_ros.core.model.made import (
     tension_and_slope_of_arrays,
 )
 from tss_ros.core.model.system import System
-from tss_ros.core.numerics.simd import kernel, leaf
+from tss_ros.core.numerics.simd import leaf, python_kernel
 
 
 @leaf
@@ -36,7 +36,7 @@ def _tether(v, r, i, j):
     return ex, ey, ez, length, closing / length
 
 
-@kernel
+@python_kernel
 def acceleration(arrays, taut, time, v, r, a):
     """Accelerations of all beads, Eqs. (1) and (32), in the turning frame.
 
@@ -79,7 +79,7 @@ def acceleration(arrays, taut, time, v, r, a):
             a[j, 2] += pj * ez
 
 
-@kernel
+@python_kernel
 def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     """Derivatives of `acceleration` by position and velocity, the blocks A and B of Eq. (52).
 
@@ -142,7 +142,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
                     by_v[ji, p, q] += mj * kv
 
 
-@kernel
+@python_kernel
 def stretch(arrays, v, r, excess, growth):
     """Length beyond the rest length and its rate for every tether, g = l - L and l' of Eq. (6).
 
@@ -158,7 +158,7 @@ def stretch(arrays, v, r, excess, growth):
         excess[k] = length - arrays.rest[k]
 
 
-@kernel
+@python_kernel
 def tensions(arrays, v, r, pull):
     """Tension [N] that the law gives every tether, taut or not, of length l and rate l'."""
     for k in range(arrays.ends.shape[0]):

@@ -23,6 +23,7 @@ from tss_ros.core.numerics.simd import (
     load3,
     number,
     only_where,
+    python_kernel,
     splat,
     store,
     store3,
@@ -279,7 +280,7 @@ def _reach(allowed, coefficient, power):
     return (allowed / coefficient) ** (1.0 / power) if coefficient > 0.0 else np.inf
 
 
-@kernel
+@python_kernel
 def evaluate(series_r, time, v, r):
     """Write velocity and position (n,3) at a time [s] since the start of the step."""
     size = series_r.shape[1]

@@ -27,6 +27,7 @@ from tss_ros.core.numerics.simd import (
     load,
     load3,
     number,
+    separate_kernel,
     splat,
     store,
     store3,
@@ -80,7 +81,7 @@ def blank(beads, tethers, order, columns):
     )
 
 
-@inlined
+@separate_kernel
 def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
     """Fill `varied` with the variations that start at x_v, x_r along the motion of `series`.
 
