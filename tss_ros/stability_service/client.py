@@ -181,7 +181,7 @@ def format_table(
     """
     rows = [[heading for heading, _ in columns]]
     cells = [flat(result) for result in results]
-    rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
+    rows += [[cell.format_map(row) or "-" for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
     left = {"decided by", "verdict", "tether law", "message"}
     return "\n".join(
