@@ -4,7 +4,6 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-
 #: Where compiled kernels, and all that they are made of, stand.
 KERNELS = ("numerics", "model", "motion")
 

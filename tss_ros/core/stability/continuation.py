@@ -3,18 +3,18 @@
 The curve of solutions of `shooting.ClosingEquations` is followed step by step: along its tangent,
 and back to it by Newton's method across the tangent, so that it may turn round in the parameter
 (E. L. Allgower and K. Georg, Numerical Continuation Methods, 1990). Steps grow where corrections
-are few and shrink where they are not; they are measured relative to the parameter.
+are few and shrink where they are not; they are measured over the parameter's unit.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tss_ros.core.errors import IntegrationError
-from tss_ros.core.stability.shooting import (
+from tss_ros.core.stability.closing import (
     CLOSED,
     ClosingEquations,
     Linearised,
@@ -22,7 +22,7 @@ from tss_ros.core.stability.shooting import (
     solve,
 )
 
-#: First, longest and shortest step, relative to the parameter.
+#: First, longest and shortest step, over the parameter's unit.
 FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.02, 0.08, 1e-6
 #: A step is taken back if the correction is a larger share of it, or the tangent turns by more than
 #: this cosine tells.
@@ -88,20 +88,21 @@ def begin(equations: ClosingEquations, y: np.ndarray, sense: float, whole: bool)
     linear = equations.linearise(solution.y, whole)
     row = np.zeros(y.size)
     row[-1] = sense
-    return Point(solution, linear, _tangent(linear, solution.y, row))
+    return Point(solution, linear, _tangent(equations, linear, solution.y, row))
 
 
-def _weights(y):
+def weights(equations: ClosingEquations, y: np.ndarray) -> np.ndarray:
+    """By which lengths of changes of y are measured."""
     weight = np.ones(y.size)
-    weight[-1] = 1.0 / abs(y[-1])
+    weight[-1] = 1.0 / equations.unit(y)
     return weight
 
 
-def _tangent(linear, y, before):
+def _tangent(equations, linear, y, before):
     """Direction of the curve that goes on from the one before, of weighted length 1."""
     right = np.zeros(y.size)
     right[-1] = 1.0
-    weight = _weights(y)
+    weight = weights(equations, y)
     matrix = np.vstack([linear.jacobian, weight**2 * before])
     tangent = np.linalg.lstsq(matrix, right, rcond=1e-14)[0]
     return tangent / np.linalg.norm(weight * tangent)
@@ -125,7 +126,7 @@ def beside(
     Point or None
     """
     y, tangent = point.solution.y, point.tangent
-    weight, ahead = _weights(y), y + step * tangent
+    weight, ahead = weights(equations, y), y + step * tangent
     try:
         solution = solve(equations, ahead, point.linear, weight**2 * tangent)
         if not solution.residual <= CLOSED:
@@ -135,7 +136,7 @@ def beside(
         linear = equations.linearise(solution.y, whole)
     except IntegrationError:
         return None
-    found = Point(solution, linear, _tangent(linear, solution.y, tangent))
+    found = Point(solution, linear, _tangent(equations, linear, solution.y, tangent))
     turned = np.sum(weight**2 * found.tangent * tangent)
     return found if turned > STRAIGHT else None
 
@@ -150,7 +151,7 @@ class Curve:
     whole : bool
         See `begin`.
     longest : float
-        Longest step, relative to the parameter.
+        Longest step, over the parameter's unit.
     """
 
     def __init__(
@@ -185,3 +186,40 @@ class Curve:
             self.point = after
             return after
         raise Ended(f"no motion was found next to that at {self.point.parameter:.6g}")
+
+
+def bisected(
+    curve: Curve, a: Point, b: Point, holds: Callable[[Point], bool], tolerance: float
+) -> tuple[Point, Point]:
+    """The two points next to where a condition ends that holds for the first and not the last.
+
+    Parameters
+    ----------
+    curve : Curve
+    a, b : Point
+        Neighbours on the curve.
+    holds : callable
+        Whether the condition holds for a `Point`.
+    tolerance : float
+        Largest distance of the two along the tangent of `a`.
+
+    Returns
+    -------
+    Point, Point
+        The last for which it holds, and the first for which it does not.
+    """
+    equations = curve.equations
+    weight = weights(equations, a.solution.y)
+    tangent = a.tangent
+    low, high = 0.0, float(np.sum(weight**2 * tangent * (b.solution.y - a.solution.y)))
+    last, first = a, b
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        trial = beside(equations, a, middle, curve.whole)
+        if trial is None:
+            break
+        if holds(trial):
+            last, low = trial, middle
+        else:
+            first, high = trial, middle
+    return last, first

@@ -23,8 +23,8 @@ from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.stability import continuation
 from tss_ros.core.stability.acceptance import look
+from tss_ros.core.stability.closing import CLOSED, ClosingEquations, Solution, solve
 from tss_ros.core.stability.continuation import Ended
-from tss_ros.core.stability.shooting import CLOSED, ClosingEquations, Solution, solve
 
 #: Rates over Omega at which a family may begin, tried in this order.
 FAST = (10.0, 7.0, 5.0, 15.0, 20.0, 4.0, 30.0, 3.0, 50.0, 100.0)
@@ -63,6 +63,11 @@ class Closed:
     spin_loss: float
     residual: float
     origin: str
+
+
+def no_symmetry(system: System) -> Symmetry:
+    """That of motions of which nothing is known."""
+    return Symmetry(1, np.arange(system.n))
 
 
 def planar(system: System, state: State) -> bool:
@@ -142,7 +147,8 @@ class OwnFamily:
             start = self._slower.start
             front = self._slower if abs(ratio) <= abs(start) else self._faster
             a, b = front.around(ratio)
-            solution = solve(self._equations, guess := _between(a, b, ratio), a.linear)
+            guess = _between(a, b, ratio)
+            solution = solve(self._equations, guess, a.linear)
             apart = np.linalg.norm(solution.y[:-3] - guess[:-3])
             near = 1e-3 + 0.5 * np.linalg.norm(a.solution.y[:-3] - b.solution.y[:-3])
             if not (solution.residual <= CLOSED and apart <= near):
@@ -243,25 +249,14 @@ class _Front:
 
     def _bisected(self, before, point, holds):
         """The last point between two for which a condition holds that holds for the first."""
-        weight = np.ones(point.solution.y.size)
-        weight[-1] = 1.0 / abs(before.parameter)
-        last, low = before, 0.0
-        high = np.linalg.norm(weight * (point.solution.y - before.solution.y))
-        while high - low > END_TOLERANCE:
-            middle = 0.5 * (low + high)
-            trial = continuation.beside(self._curve.equations, before, middle, False)
-            if trial is not None and holds(trial):
-                last, low = trial, middle
-            else:
-                high = middle
-        return last
+        return continuation.bisected(self._curve, before, point, holds, END_TOLERANCE)[0]
 
 
 def _between(a, b, ratio):
     """y at a rate between two points, by the cubic that has their tangents."""
     p, q = a.solution.y, b.solution.y
     weight = np.ones(p.size)
-    weight[-1] = 1.0 / abs(p[-1])
+    weight[-1] = 1.0 / abs(p[-1])  # as tangents are
     chord = np.linalg.norm(weight * (q - p))
 
     def y(t):
@@ -352,7 +347,7 @@ def nearest_motion(
         If `cancelled` said so.
     """
     symmetry = cyclic_symmetry(system)
-    none = Symmetry(1, np.arange(system.n))
+    none = no_symmetry(system)
     origin = getattr(start, "origin", "") or "the given state"
     found, failure = [], None
     for part in (symmetry, none) if symmetry.order > 1 else (none,):

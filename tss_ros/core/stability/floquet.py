@@ -15,26 +15,26 @@ from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability import families, harmonic_balance, leading_multipliers
 from tss_ros.core.stability.acceptance import look
+from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import (
-    DRIVEN,
     SMALLEST_DRIFT,
     drift_radius,
     judge,
     judge_frozen,
 )
-from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
+from tss_ros.core.stability.modes import label
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import (
-    CLOSED,
     closure,
     flow_direction,
     from_scaled,
     integrate_turn,
     to_scaled,
 )
+from tss_ros.core.stability.spectrum import spectrum
 
 #: Largest distance of a motion from the start given for it, over the radius and the rim speed.
 NEAR_START = 0.2
@@ -245,19 +245,13 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
     start, loss = (motion.state, motion.spin_loss) if corrected else (motion, 0.0)
     turn = integrate_turn(integrator, start, cancelled)
     seen = look(integrator, start)
-    planar = stays_in_plane(integrator, start)
-    multiplier, vectors = multipliers(turn.matrix, planar)  # Eqs. (25) and (27)
-    family, flow_error = label(integrator, start, multiplier, vectors), _flow_error(turn)
-    drift = DRIVEN * abs(integrator.arrays.spin / integrator.system.orbit_rate_rad_s) * loss
     left = motion.residual if corrected else turn.closure_residual
-    radius = drift_radius(left, drift, flow_error * np.linalg.norm(turn.matrix, 2))
-    above = planar & (vectors[2::3] != 0.0).any(axis=0)
-    judgement = judge(multiplier, family, radius, True, drift=drift, above=above)
+    found = spectrum(integrator, start, turn.end, turn.matrix, left, loss)
     proofs = {}
     if certify:
 
         def settled(values):
-            return np.abs(values - 1.0) > radius
+            return np.abs(values - 1.0) > found.radius
 
         proofs = {
             "segment_error": segment_error(turn, settled, cancelled),
@@ -268,15 +262,15 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         words += f"; {turn.switches} slack/taut switches in the turn"
     if seen.never_taut:
         words += f"; never taut: {', '.join(seen.never_taut)}"
-    if radius > SMALLEST_DRIFT:
-        words += f"; growth of the spin below {radius:.1e} a turn is not told from its drift"
+    if found.radius > SMALLEST_DRIFT:
+        words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
     return _result(
-        "monodromy", integrator, (multiplier, vectors), family, judgement,
+        "monodromy", integrator, (found.multiplier, found.vectors), found.family, found.judgement,
         closure_residual=left,
         initial_closure_residual=missed_by if corrected else left,
         spin_loss=loss,
         det_z_error=_det_z_error(turn),
-        flow_error=flow_error,
+        flow_error=found.flow_error,
         switches=turn.switches,
         pushing_share=seen.pushing_share,
         state=turn.start,
@@ -302,7 +296,7 @@ def _leading(integrator, initial, count, correct, cancelled):
     missed = flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
     family = label(integrator, start, multiplier, vectors)
     found = residual <= leading_multipliers.CONVERGED * np.abs(multiplier)
-    periodic = closed_by <= CLOSED or not correct
+    periodic = closed_by <= harmonic_balance.CLOSED or not correct
     radius = drift_radius(closed_by)
     judgement = judge(multiplier, family, radius, periodic, error=residual, found=found)
     words = _origin(initial, initial_closure if correct else None)
@@ -355,9 +349,3 @@ def _det_z_error(turn):
     if np.max(np.abs(x[:, 2::3])) > 1e-12:
         return math.nan
     return float(abs(np.linalg.det(turn.matrix[2::3, 2::3]) - 1.0))
-
-
-def _flow_error(turn):
-    """Scaled error of M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28)."""
-    before, after = (flow_direction(turn.integrator, s) for s in (turn.start, turn.end))
-    return float(np.max(np.abs(turn.matrix @ before - after)) / np.max(np.abs(before)))
