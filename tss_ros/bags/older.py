@@ -4,10 +4,11 @@ import math
 from typing import Any
 
 #: By field: every tether was the paper's, nobody had counted how often taut tethers pushed, and
-#: results did not say which multiplier decided.
+#: results did not say which multiplier decided, nor what damping takes of the spin.
 UNSAID = {
     "tether_law": "kelvin_voigt",
     "pushing_share": math.nan,
+    "spin_loss": math.nan,
     "deciding_modulus": math.nan,
     "deciding_family": "",
     "mode": (),

@@ -337,6 +337,6 @@ class StepMessages:
         return marker
 
 
-def doubles(values):
+def doubles(values: np.ndarray | list[float]) -> array.array:
     """A flat float64[]; filling a message from array.array skips its element-by-element checks."""
     return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

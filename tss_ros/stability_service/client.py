@@ -67,8 +67,7 @@ def compute(
     overrides: Iterable[rcl_interfaces.msg.Parameter] = (),
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
-    confirm_turns: int = 0,
-    mode_samples: int = 0,
+    **fields: int,
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
@@ -87,10 +86,8 @@ def compute(
         Called several times a second with the number of rates answered so far.
     patience_s : float
         How long to wait for the service to appear [s].
-    confirm_turns : int
-        Length of a disturbed simulation beside every verdict [turns]; 0 for none.
-    mode_samples : int
-        Times of a turn at which the mode that decided is wanted; 0 for none.
+    **fields
+        Others of the request, e.g. `confirm_turns` and `mode_samples`.
 
     Returns
     -------
@@ -125,8 +122,7 @@ def compute(
                 spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
                 method=method,
                 overrides=list(overrides),
-                confirm_turns=confirm_turns,
-                mode_samples=mode_samples,
+                **fields,
             )
             answer = client.call_async(request)
             seen = time.monotonic()
@@ -181,7 +177,7 @@ def format_table(
     """
     rows = [[heading for heading, _ in columns]]
     cells = [flat(result) for result in results]
-    rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
+    rows += [[cell.format_map(row) or "-" for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
     left = {"decided by", "verdict", "tether law", "message"}
     return "\n".join(

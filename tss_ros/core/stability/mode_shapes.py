@@ -96,15 +96,8 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     mean = mean_modes(integrator, result.state)
     rho, vectors = result.multiplier, result.vectors
     paired = _pairs(integrator, result, mean)
-    frequency = np.full(rho.size, math.nan)
-    alive = np.abs(rho) > LOST
-    cycles = np.angle(rho) / (2.0 * math.pi)
     family = np.array(result.family)
-    centre, spin = family == FAMILIES[0], family == FAMILIES[1]
-    about = _counted(integrator, result, mean, paired)
-    about[spin] = 0.0
-    about[centre] = (np.abs(rho[centre] - 1.0) > NEAR_ONE) / abs(result.spin_rate_ratio)
-    frequency[alive] = (cycles + np.round(about - cycles))[alive]
+    frequency = _frequencies(integrator, result, mean, paired)
     position = vectors.reshape(2, system.n, 3, -1)[1]
     above = _above(vectors)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
@@ -115,7 +108,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
             complex(rho[k]),
             str(family[k]),
             str(kinds[k]),
-            float(abs(frequency[k])),
+            float(frequency[k]),
             int(mean.wave_number[paired[k]]),
             position[:, :, k] * _to_size_one(position[:, :, k]),
         )
@@ -206,6 +199,25 @@ def _carried(integrator, state, vectors, samples):
         place.append(np.array(motion.r))
         carried.append(real + 1j * imaginary)
     return np.array(place), np.array(carried)
+
+
+def _frequencies(integrator, result, mean, paired):
+    """Cycles a turn (k,) of the multipliers' modes, alike for complex conjugates."""
+    rho, family = result.multiplier, np.array(result.family)
+    about = _counted(integrator, result, mean, paired)
+    about[family == FAMILIES[1]] = 0.0
+    centre = family == FAMILIES[0]
+    about[centre] = (np.abs(rho[centre] - 1.0) > NEAR_ONE) / abs(result.spin_rate_ratio)
+    cycles = np.angle(rho) / (2.0 * math.pi)
+    either = [cycles + np.round(sign * about - cycles) for sign in (1.0, -1.0)]
+    nearer = np.argmin([np.abs(np.abs(f) - np.abs(about)) for f in either], axis=0)
+    frequency = np.abs(np.choose(nearer, either))
+    frequency[np.abs(rho) <= LOST] = math.nan
+    for k in np.flatnonzero(rho.imag < 0.0):
+        alike = np.flatnonzero((family == family[k]) & (rho.imag > 0.0))
+        if alike.size:
+            frequency[k] = frequency[alike[np.argmin(np.abs(rho[alike].conj() - rho[k]))]]
+    return frequency
 
 
 def _counted(integrator, result, mean, paired):

@@ -132,17 +132,9 @@ def _share(basis, halves):
 
 def _along(integrator, state, weight, halves):
     """The same for the part along the motion, the whole formation's displacement left out."""
-    n = len(weight)
-    shares = (weight**2 / np.sum(weight**2))[:, :, None]
-
-    def inner(x):
-        x = x.reshape(2, n, 3, -1) / weight[:, :, None]
-        x = (x - np.sum(shares * x, axis=1, keepdims=True)) * weight[:, :, None]
-        return x.reshape(6 * n, -1)
-
-    flow = flow_direction(integrator, state).reshape(2, n, 3) * weight
-    flow = inner(flow)[:, 0]
-    return np.abs(flow @ inner(halves)) ** 2 / (flow @ flow)
+    flow = flow_direction(integrator, state).reshape(2, -1, 3)
+    flow = weight * (flow - np.mean(weight**2 * flow, axis=1, keepdims=True))
+    return np.abs(flow.ravel() @ halves.reshape(flow.size, -1)) ** 2 / np.sum(flow**2)
 
 
 def _tilts(mass, position, weight, planar):
@@ -164,7 +156,7 @@ def _one_in_resonance(multiplier, score):
     modes in equal parts.
     """
     shared, modulus = score.copy(), np.abs(multiplier)
-    for i in np.flatnonzero((np.abs(modulus - 1.0) > SAME) & (modulus > LOST)):
+    for i in np.flatnonzero((np.abs(modulus - 1.0) > SAME) & (modulus > LOST) & (score > 0.0)):
         rho = multiplier[i]
         partners = (rho, rho.conjugate(), 1.0 / rho, 1.0 / rho.conjugate())
         apart = np.min([np.abs(multiplier / other - 1.0) for other in partners], axis=0)
