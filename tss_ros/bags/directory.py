@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 
 def lock(directory: str | Path) -> int:
@@ -33,3 +34,16 @@ def sync_directory(directory: str | Path) -> None:
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def create(path: Path) -> BinaryIO:
+    """Make a file anew and open it to be written; one left there before is removed, a link too.
+
+    Raises
+    ------
+    FileExistsError
+        If somebody else makes one meanwhile.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        path.unlink()
+    return path.open("xb")

@@ -13,14 +13,18 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from tss_ros.bags.directory import lock, sync_directory
+from tss_ros.bags.directory import create, lock, sync_directory
+from tss_ros.bags.records import TOPICS, pack_topics
 from tss_ros.core import TssError
 
 #: Small chunks and frequent flushes bound what a killed recorder loses.
 CHUNK_BYTES = 256 * 1024
 FSYNC_PERIOD_S = 1.0
+#: Schemas and channels, which the format has once only, are written again after so many seconds.
+TOPICS_PERIOD_S = 60.0
 #: Free space [B] at which a recording ends: its index and what comes between two flushes fit.
 RESERVE_BYTES = 16 * 2**20
 #: Name of the MCAP metadata record, and of the custom_data in metadata.yaml, with the bag's notes.
@@ -172,6 +176,8 @@ class BagWriter:
         if self._ended:
             return
         try:
+            if not self._repeated:
+                self._repeat_topics()
             self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
             raise self._failure(error) from error
@@ -191,6 +197,8 @@ class BagWriter:
         try:
             self._writer.flush()
             now = time.monotonic()
+            if self._repeated == 1 or now - self._topics_written > TOPICS_PERIOD_S:
+                self._repeat_topics()
             if now - self._synced > FSYNC_PERIOD_S:
                 os.fsync(self._file.fileno())
                 self._synced = now
@@ -233,22 +241,29 @@ class BagWriter:
         self._files.append(BagFile(name))
         self._begun = time.monotonic()
         self._synced = self._begun - FSYNC_PERIOD_S
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start(profile="ros2")
+        self._repeated, self._topics_written = 0, self._begun
+        self._schemas, self._channels = [], []
+        self._writer = begin(self._file)
         self._writer.add_metadata(FIRST_NOTES, self.notes)
         for topic, definition in self._topics:
             self._register(topic, definition)
         sync_directory(self.directory)
 
+    def _repeat_topics(self):
+        """Write schemas and channels outside of chunks: before the first one, behind it, and on."""
+        self._writer.add_metadata(TOPICS, pack_topics(self._schemas, self._channels))
+        self._repeated += 1
+        self._topics_written = time.monotonic()
+
     def _register(self, topic, definition):
         schema = self._writer.register_schema(topic["type"], "ros2msg", definition.encode())
         qos, type_hash = topic["offered_qos_profiles"], topic["type_description_hash"]
-        return self._writer.register_channel(
-            topic["name"],
-            "cdr",
-            schema,
-            {"offered_qos_profiles": _dump(qos), "topic_type_hash": type_hash},
-        )
+        metadata = {"offered_qos_profiles": _dump(qos), "topic_type_hash": type_hash}
+        channel = self._writer.register_channel(topic["name"], "cdr", schema, metadata)
+        self._schemas.append(Schema(schema, definition.encode(), "ros2msg", topic["type"]))
+        self._channels.append(Channel(channel, topic["name"], "cdr", metadata, schema))
+        self._repeated = 0
+        return channel
 
     def _finish_file(self):
         file = self._files[-1]
@@ -270,6 +285,15 @@ class BagWriter:
             f"{self.path} cannot be written: {error.strerror}; it ends incomplete, and "
             f"`recover {self.directory}` makes a whole bag of it"
         )
+
+
+def begin(stream: BinaryIO) -> Writer:
+    """A writer of chunks and checksums, as files of bags have them."""
+    writer = Writer(
+        stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
+    )
+    writer.start(profile="ros2")
+    return writer
 
 
 def finish(
@@ -321,8 +345,8 @@ def write_metadata(
     """
     text = _dump({"rosbag2_bagfile_information": _information(files, topics, ros_distro, notes)})
     fresh = directory / ".metadata.yaml"
-    with fresh.open("w", encoding="utf-8") as stream:
-        stream.write(text)
+    with create(fresh) as stream:
+        stream.write(text.encode())
         stream.flush()
         os.fsync(stream.fileno())
     fresh.replace(directory / "metadata.yaml")

@@ -1,0 +1,96 @@
+"""One MCAP file, read record by record: every checksum is checked, and what is damaged is named.
+
+Nothing is believed that a checksum contradicts, and nothing is needed but the records themselves:
+files without an index, a summary, chunks or an end are read all the same.
+"""
+
+import zlib
+from collections.abc import Iterator
+
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Schema
+from mcap.writer import MCAP0_MAGIC as MAGIC
+
+from tss_ros.bags.records import DAMAGE, BagError, Batch, messages_in, stream_of
+from tss_ros.bags.structure import McapStructure
+
+
+class McapFile(McapStructure):
+    """The messages of an MCAP file, in addition to its structure."""
+
+    def batches(self) -> Iterator[Batch]:
+        """All intact messages in the order of the file; adds to `damage` what is not intact.
+
+        Messages of channels that nothing describes are counted, and left out.
+        """
+        chunks = [place.record for place in self.places if place.opcode == Opcode.CHUNK]
+        self._with_checksums = any(chunk.uncompressed_crc for chunk in chunks)
+        checksum, is_gapless = zlib.crc32(self.at(0, len(MAGIC))), not self.damage
+        seen = 0
+        for place in self.places:
+            if place.opcode == Opcode.DATA_END:
+                self.data_checksum = place.record.data_section_crc
+                is_wrong = is_gapless and self.data_checksum not in (0, checksum)
+                if is_wrong and not self.damage:
+                    self.note(0, 0, "bytes outside of its chunks are not as they were", {})
+                break
+            raw = self.at(place.position, place.byte_count)
+            checksum = zlib.crc32(raw, checksum)
+            if place.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                batch = self._batch(place, raw)
+                if batch is not None:
+                    seen += len(batch.offsets)
+                    if len((batch := self._placed(batch)).offsets):
+                        yield batch
+        self._compare_counts(seen)
+
+    def _batch(self, place, raw):
+        """The messages at a place; None, and noted, if they are damaged."""
+        chunk = None
+        try:
+            if place.opcode == Opcode.CHUNK:
+                chunk = Chunk.read(stream_of(raw))
+                if self._with_checksums and not chunk.uncompressed_crc:
+                    raise ValueError("it has lost its checksum")
+                raw = self._unpacker.chunk(chunk)
+            offsets, definitions = messages_in(raw)
+            for definition in definitions:
+                self._define(definition)
+            return self._unpacker.messages(Batch.of(raw, offsets, place.position, chunk))
+        except BagError:
+            raise
+        except DAMAGE as error:
+            reason = str(error) if isinstance(error, ValueError) else "it does not unpack"
+            self.note(place.position, place.end, reason, self._indexed_behind(place))
+            return None
+
+    def _placed(self, batch):
+        """A batch without the messages of channels that nothing describes."""
+        is_known = self._is_known(batch)
+        if not is_known.all() and self._unchecked:
+            # A summary without a checksum is believed where nothing else tells.
+            for record in self._unchecked:
+                known = self.schemas if isinstance(record, Schema) else self.channels
+                known.setdefault(record.id, record)
+            self._unchecked = []
+            is_known = self._is_known(batch)
+        self.unplaced += int((~is_known).sum())
+        return batch if is_known.all() else batch.only(is_known)
+
+    def _is_known(self, batch):
+        known = [
+            i for i, c in self.channels.items() if not c.schema_id or c.schema_id in self.schemas
+        ]
+        return (batch.heads["channel"][:, None] == known).any(axis=1)
+
+    def _compare_counts(self, seen):
+        """Note messages that the file counts, but does not have."""
+        if self.unplaced:
+            reason = f"{self.unplaced} messages are of channels that nothing describes"
+            self.note(0, 0, reason, {0: self.unplaced})
+        if self.statistics is None or self.statistics.message_count == seen:
+            return
+        told = [damage.lost for damage in self.damage]
+        if None in told or self.statistics.message_count - seen != sum(told) - self.unplaced:
+            reason = f"it counts {self.statistics.message_count} messages, and {seen} are whole"
+            self.note(0, 0, reason, {})
