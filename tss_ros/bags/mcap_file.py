@@ -44,6 +44,12 @@ class McapFile(McapStructure):
                         yield batch
         self._compare_counts(seen)
 
+    def find_channels(self) -> None:
+        """Have all schemas and channels, for which a file without a whole summary is read."""
+        if not (self.summary_checksum and self.statistics and self.channels):
+            for _ in self.batches():
+                pass
+
     def _batch(self, place, raw):
         """The messages at a place; None, and noted, if they are damaged."""
         chunk = None
@@ -61,7 +67,8 @@ class McapFile(McapStructure):
             raise
         except DAMAGE as error:
             reason = str(error) if isinstance(error, ValueError) else "it does not unpack"
-            self.note(place.position, place.end, reason, self._indexed_behind(place))
+            lost = dict(index.record for index in self.indexes_behind(place.position)) or None
+            self.note(place.position, place.end, reason, lost)
             return None
 
     def _placed(self, batch):

@@ -326,6 +326,11 @@ def unpack_topics(content: dict[str, str]) -> list[McapRecord]:
         return []
 
 
+def one_line(text: object) -> str:
+    """A text as terminals can show it in one line: what is not printable is written in escapes."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(text))
+
+
 def _unzstd(data, most):
     """The first bytes of what was compressed, at most so many."""
     with zstandard.ZstdDecompressor().stream_reader(data) as stream:

@@ -53,7 +53,7 @@ _IN_CHUNKS = re.compile(
 )
 _OUTSIDE = re.compile(rb"[\x03\x04\x05\x0c].{4}\0{4}|\x0f\x04\0{7}", re.S)
 _CUT = "it is cut short, so it is not a complete MCAP file"
-_MARK_BYTES, _WINDOW_BYTES = 64, 2**20
+_MARK_BYTES, _WINDOW_BYTES, _BLOCK_BYTES = 64, 2**16, 2**20
 
 
 @dataclass(frozen=True)
@@ -222,9 +222,10 @@ class McapStructure:
         """The places of all records of the data section; those of damage are noted."""
         position = len(MAGIC)
         if self.at(0, len(MAGIC)) != MAGIC:
-            if self._resume(0, self.size) == self.size:
+            if self._resume(0, self.size) < self.size:
+                self.note(0, len(MAGIC), "its first bytes are damaged", {})
+            elif not MAGIC.startswith(self.at(0, _BLOCK_BYTES).rstrip(b"\0")):
                 raise BagError(f"{str(self.path)!r} is not an MCAP file")
-            self.note(0, len(MAGIC), "its first bytes are damaged", {})
         while position < (end := self._end or self.size):
             place = self._place(position, end)
             if place is None:
@@ -274,7 +275,7 @@ class McapStructure:
         if position + byte_count > end or byte_count > MAX_RECORD_BYTES:
             return None
         if opcode == Opcode.MESSAGE:
-            raw = self.at(position, min(max(byte_count, _WINDOW_BYTES), end - position))
+            raw = self.at(position, min(max(byte_count, _BLOCK_BYTES), end - position))
             byte_count = leading_messages(raw)
             return Place(opcode, position, byte_count) if byte_count else None
         try:
@@ -331,12 +332,12 @@ class McapStructure:
 
     def _search(self, mark, position, end, opcode=None):
         while position < end:
-            block = self.at(position, min(_WINDOW_BYTES, end - position))
+            block = self.at(position, min(_BLOCK_BYTES, end - position))
             for found in mark.finditer(block):
                 place = self._place(position + found.start(), end)
                 if place and opcode in (None, place.opcode) and self._is_followed(place, end):
                     return place.position
-            if len(block) < _WINDOW_BYTES:
+            if len(block) < _BLOCK_BYTES:
                 break
             position += len(block) - _MARK_BYTES
         return end
@@ -351,7 +352,7 @@ class McapStructure:
         plain = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             with packed, zstandard.ZstdDecompressor().stream_reader(packed) as stream:
-                while block := stream.read(_WINDOW_BYTES):
+                while block := stream.read(_BLOCK_BYTES):
                     room.take(len(block))
                     plain.write(block)
         except (zstandard.ZstdError, OSError) as error:
@@ -371,13 +372,11 @@ class McapStructure:
             return None
         return dict(sum(map(Counter, counts), Counter()))
 
-    def _indexed_behind(self, place):
-        """Messages by channel of a chunk, as the message indexes say that follow it."""
-        i = bisect.bisect_right(self._positions, place.position)
-        following = itertools.takewhile(
-            lambda p: p.opcode == Opcode.MESSAGE_INDEX, itertools.islice(self.places, i, None)
-        )
-        return dict(p.record for p in following) or None
+    def indexes_behind(self, position: int) -> list[Place]:
+        """The message indexes that follow the chunk at a position."""
+        i = bisect.bisect_right(self._positions, position)
+        following = itertools.islice(self.places, i, None)
+        return list(itertools.takewhile(lambda p: p.opcode == Opcode.MESSAGE_INDEX, following))
 
     def _indexed(self, index):
         """Messages by channel of a chunk, as the message indexes say that the summary names."""

@@ -317,9 +317,9 @@ def finish(
     ros_distro : str
     notes : dict of str to str
     """
-    information = _information([file], topics, ros_distro, notes)
+    said = information([file], topics, ros_distro, notes)
     writer.flush()  # else the metadata would precede the messages they speak of
-    writer.add_metadata("rosbag2", {"serialized_metadata": _dump(information)})
+    writer.add_metadata("rosbag2", {"serialized_metadata": _dump(said)})
     writer.add_metadata(NOTES, notes)
     writer.finish()
     stream.flush()
@@ -343,7 +343,7 @@ def write_metadata(
     topics, ros_distro, notes
         As for `finish`.
     """
-    text = _dump({"rosbag2_bagfile_information": _information(files, topics, ros_distro, notes)})
+    text = _dump({"rosbag2_bagfile_information": information(files, topics, ros_distro, notes)})
     fresh = directory / ".metadata.yaml"
     with create(fresh) as stream:
         stream.write(text.encode())
@@ -353,8 +353,10 @@ def write_metadata(
     sync_directory(directory)
 
 
-def _information(files, topics, ros_distro, notes):
-    """rosbag2's bag information, version 9."""
+def information(
+    files: list[BagFile], topics: list[dict[str, Any]], ros_distro: str, notes: dict[str, str]
+) -> dict[str, Any]:
+    """rosbag2's bag information, version 9; parameters as for `write_metadata`."""
     spans = [_span(file.message_count, file.first_ns, file.last_ns) for file in files]
     firsts = [file.first_ns for file in files if file.first_ns is not None]
     lasts = [file.last_ns for file in files if file.last_ns is not None]
