@@ -71,6 +71,11 @@ class Layout:
             }
         )
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The fields that are numbers."""
+        return tuple(self._names)
+
     def fits(self, rows: np.ndarray) -> np.ndarray:
         """Which messages of `rows`, (k, bytes), have these texts and lengths; (k,) of bool."""
         if rows.shape[1] < self._first.size:

@@ -10,6 +10,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from tss_ros.bags.directory import METADATA, BagFiles
 from tss_ros.bags.mcap_file import McapFile
 from tss_ros.bags.records import Batch, Damage, index_entries
 from tss_ros.bags.structure import McapStructure
@@ -251,3 +252,21 @@ def expected_information(files: Sequence[CheckedFile]) -> dict[str, Any]:
         notes |= file.notes
     distro = notes.get("ros_distro", "unknown")
     return information([file.entry for file in files], list(topics.values()), distro, notes)
+
+
+def metadata_faults(files: BagFiles, checked: Sequence[CheckedFile]) -> list[Damage]:
+    """What metadata.yaml says otherwise than the files, if there is one."""
+    if not files.information:
+        return []
+    faults, said, expected = [], files.information, expected_information(checked)
+    if not all(file.notes for file in checked):  # of others, who have other versions and say less
+        keys = {"message_count", "relative_file_paths"} & said.keys()
+        if any(file.path.name.endswith(".zstd") for file in checked):
+            keys -= {"relative_file_paths"}  # named with or without the ending
+        said, expected = ({key: x[key] for key in keys} for x in (said, expected))
+
+    def note(_, __, reason, lost):
+        faults.append(Damage(METADATA, 0, 0, reason, lost))
+
+    compare(note, "it", said, expected)
+    return faults

@@ -26,7 +26,7 @@ class McapFile(McapStructure):
         chunks = [place.record for place in self.places if place.opcode == Opcode.CHUNK]
         self._with_checksums = any(chunk.uncompressed_crc for chunk in chunks)
         checksum, is_gapless = zlib.crc32(self.at(0, len(MAGIC))), not self.damage
-        seen = 0
+        seen, self._seen = 0, set()
         for place in self.places:
             if place.opcode == Opcode.DATA_END:
                 self.data_checksum = place.record.data_section_crc
@@ -59,6 +59,11 @@ class McapFile(McapStructure):
                 if self._with_checksums and not chunk.uncompressed_crc:
                     raise ValueError("it has lost its checksum")
                 raw = self._unpacker.chunk(chunk)
+                mark = chunk.uncompressed_crc, len(raw), chunk.message_start_time
+                if chunk.uncompressed_crc and mark in self._seen:
+                    self.note(place.position, place.end, "it repeats another chunk", {})
+                    return None
+                self._seen.add(mark)
             offsets, definitions = messages_in(raw)
             for definition in definitions:
                 self._define(definition)

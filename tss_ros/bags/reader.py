@@ -1,5 +1,8 @@
 """The messages of a bag in bulk: a million steps in the time the disk and numpy take."""
 
+import contextlib
+import functools
+import io
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -24,6 +27,12 @@ TOPICS = {
     "TetherStates": "tether_states",
     "FloquetResult": "stability_results",
 }
+#: Numbers that states have.
+_FIELDS = {
+    "BeadStates": ("position_m", "velocity_m_s", "deviation"),
+    "TetherStates": ("length_m", "tension_n", "taut"),
+}
+FIELDS = {name: ("step", "stamp.sec", "stamp.nanosec", *more) for name, more in _FIELDS.items()}
 #: Most changes of texts and lengths among the messages of a topic; more would take for ever.
 MAX_LAYOUTS = 10_000
 #: Most bytes and types of a schema, which is decoded type by type.
@@ -305,14 +314,24 @@ def decoded(schema: Schema, data: bytes) -> Any:
         If it is not, or if the schema is none.
     """
     try:
-        return DecoderFactory().decoder_for("cdr", schema)(data)
+        return _decoder(schema.name, schema.encoding, schema.data)(data)
     except Exception as error:  # the library raises anything at texts that are no definitions
         raise BagError(f"a message of {schema.name} cannot be read: {_one_line(error)}") from error
 
 
+@functools.lru_cache(maxsize=64)
+def _decoder(name, encoding, data):
+    # The library prints what it does not understand, besides raising it.
+    with contextlib.redirect_stderr(io.StringIO()):
+        return DecoderFactory().decoder_for("cdr", Schema(1, data, encoding, name))
+
+
 def _layout(schema, data, name):
     try:
-        return Layout(schema.data.decode(), data)
+        layout = Layout(schema.data.decode(), data)
+        if lacking := [field for field in FIELDS[name] if field not in layout.names]:
+            raise BagError(f"{schema.name} lacks {', '.join(lacking)}")
+        return layout
     except BagError:
         raise
     except DAMAGE as error:

@@ -12,7 +12,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tss_ros.bags.checks import CheckedFile, check_file, expected_information, topic_of
+from tss_ros.bags.checks import (
+    CheckedFile,
+    check_file,
+    expected_information,
+    metadata_faults,
+    topic_of,
+)
 from tss_ros.bags.directory import METADATA, create, find_files, lock, sync_directory
 from tss_ros.bags.mcap_file import McapFile
 from tss_ros.bags.records import BagError, Batch, one_line
@@ -117,7 +123,8 @@ def _recover(bag):
     damaged = [file.faults or not file.path.name.endswith(".mcap") for file in checked]
     if found.information.get("compression_mode") and any(file.faults for file in checked):
         damaged = [True] * len(checked)  # else some were compressed and some were not
-    if not any(file.faults for file in checked) and found.information and not found.damage:
+    is_whole = not any(file.faults for file in checked) and found.information
+    if is_whole and not found.damage and not metadata_faults(found, checked):
         return []
     done, notes = [], {}
     for i, file in enumerate(checked):

@@ -185,8 +185,8 @@ class McapStructure:
         self.is_ended, self._end = True, at
         footer = Footer.read(stream_of(raw))
         begin, self.summary_checksum = footer.summary_start, footer.summary_crc
-        if not (begin or self.summary_checksum):
-            return
+        if not begin:  # there is none
+            begin = at
         if not len(MAGIC) <= begin <= at or at - begin > MAX_RECORD_BYTES:
             self.note(at, self.size, "its footer is damaged", {})
             return
