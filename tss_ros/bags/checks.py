@@ -12,9 +12,9 @@ from mcap.records import Channel, Schema
 
 from tss_ros.bags.directory import METADATA, BagFiles
 from tss_ros.bags.mcap_file import McapFile
+from tss_ros.bags.metadata import NOTES, BagFile, information
 from tss_ros.bags.records import Batch, Damage, index_entries
 from tss_ros.bags.structure import McapStructure
-from tss_ros.bags.writer import NOTES, BagFile, information
 from tss_ros.core import TssError
 from tss_ros.scenarios.files import load_yaml
 

@@ -6,13 +6,42 @@ files without an index, a summary, chunks or an end are read all the same.
 
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from tss_ros.bags.records import DAMAGE, BagError, Batch, messages_in, stream_of
+from tss_ros.bags.records import (
+    DAMAGE,
+    MESSAGE_HEAD,
+    BagError,
+    Batch,
+    index_entries,
+    messages_in,
+    stream_of,
+)
 from tss_ros.bags.structure import McapStructure
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Where messages are lost.
+
+    Attributes
+    ----------
+    position, end : int
+    topics : set of str or None
+        Of which topics; None for any.
+    lost_in : dict of int to int
+        How many, by channel, as far as anything tells.
+    """
+
+    position: int
+    end: int
+    topics: set[str] | None
+    lost_in: dict[int, int]
 
 
 class McapFile(McapStructure):
@@ -44,6 +73,28 @@ class McapFile(McapStructure):
                         yield batch
         self._compare_counts(seen)
 
+    def batches_and_gaps(self) -> Iterator[Batch | Gap]:
+        """The same, with a Gap wherever messages are lost, or were before a recovery."""
+        gaps = [self._gap(damage) for damage in self.damage]
+        gaps += [Gap(position, position, topics, {}) for position, topics in self.gaps]
+        gaps.sort(key=lambda gap: gap.position)
+        known, passed = len(self.damage), 0
+        for batch in self.batches():
+            while passed < len(gaps) and gaps[passed].position < batch.position:
+                yield gaps[passed]
+                passed += 1
+            yield from map(self._gap, self.damage[known:])
+            known = len(self.damage)
+            yield batch
+        yield from gaps[passed:]
+        yield from map(self._gap, self.damage[known:])
+
+    def _gap(self, damage):
+        lost, topics = damage.lost_in, None
+        if lost is not None and lost.keys() <= self.channels.keys():
+            topics = {self.channels[number].topic for number, count in lost.items() if count}
+        return Gap(damage.position, damage.position + damage.byte_count, topics, lost or {})
+
     def find_channels(self) -> None:
         """Have all schemas and channels, for which a file without a whole summary is read."""
         if not (self.summary_checksum and self.statistics and self.channels):
@@ -64,10 +115,13 @@ class McapFile(McapStructure):
                     self.note(place.position, place.end, "it repeats another chunk", {})
                     return None
                 self._seen.add(mark)
-            offsets, definitions = messages_in(raw)
-            for definition in definitions:
-                self._define(definition)
-            return self._unpacker.messages(Batch.of(raw, offsets, place.position, chunk))
+            batch = self._indexed_batch(place, raw, chunk)
+            if batch is None:
+                offsets, definitions = messages_in(raw)
+                for definition in definitions:
+                    self._define(definition)
+                batch = Batch.of(raw, offsets, place.position, chunk)
+            return self._unpacker.messages(batch)
         except BagError:
             raise
         except DAMAGE as error:
@@ -75,6 +129,21 @@ class McapFile(McapStructure):
             lost = dict(index.record for index in self.indexes_behind(place.position)) or None
             self.note(place.position, place.end, reason, lost)
             return None
+
+    def _indexed_batch(self, place, raw, chunk):
+        """A chunk's messages where its indexes say, if just these fill it; spares going through."""
+        indexes = self.indexes_behind(place.position) if chunk is not None else []
+        if not indexes:
+            return None
+        found = [index_entries(self.at(p.position, p.byte_count))[:, 1] for p in indexes]
+        offsets = np.sort(np.concatenate(found))
+        if not len(offsets) or offsets[0] or offsets[-1] > len(raw) - MESSAGE_HEAD.itemsize:
+            return None
+        batch = Batch.of(raw, offsets, place.position, chunk)
+        ends = batch.offsets + MESSAGE_HEAD.itemsize + batch.sizes
+        fills = ends[-1] == len(raw) and (ends[:-1] == batch.offsets[1:]).all()
+        is_message = batch.heads["opcode"] == Opcode.MESSAGE
+        return batch if fills and is_message.all() and batch.sizes.min() >= 0 else None
 
     def _placed(self, batch):
         """A batch without the messages of channels that nothing describes."""

@@ -16,8 +16,8 @@ from mcap_ros2.decoder import DecoderFactory
 from tss_ros.bags.cdr import Layout
 from tss_ros.bags.directory import METADATA, find_files
 from tss_ros.bags.mcap_file import McapFile
+from tss_ros.bags.metadata import NOTES
 from tss_ros.bags.records import DAMAGE, MESSAGE_HEAD, BagError, Batch, Damage
-from tss_ros.bags.writer import NOTES
 
 STATES = ("BeadStates", "TetherStates")
 #: Types that are read, and the topics that have them unless they are remapped.
@@ -58,6 +58,8 @@ class Simulator:
         damage that took one with it.
     dropped : int
         States that belong to runs whose description is lost.
+    seen : set of tuple
+        Number, times and data of the descriptions.
     """
 
     prefix: str
@@ -66,6 +68,14 @@ class Simulator:
     bead_count: int = 0
     is_known: bool = True
     dropped: int = 0
+    seen: set = field(default_factory=set)
+
+    def describe(self, before: int, place: tuple, message: Any) -> None:
+        """Take a description, unless it was taken."""
+        if place not in self.seen:
+            self.seen.add(place)
+            self.descriptions.append((before, message))
+        self.is_known = True
 
 
 class BagContent:
@@ -94,6 +104,7 @@ class BagContent:
     def __init__(self, path: str | Path) -> None:
         self.shown = str(path)
         self.simulators, self.results, self.lost = {}, [], None
+        self._is_gapless = True
         files = find_files(path)
         self.damage = files.damage
         for i, place in enumerate(files.paths):
@@ -108,7 +119,7 @@ class BagContent:
                     self.damage.append(Damage(place.name, 0, 0, reason, None))
         for simulator in self.simulators.values():
             if simulator.dropped:
-                reason = f"{simulator.dropped} steps behind the damage are of a run that nothing "
+                reason = f"{simulator.dropped} steps behind what is lost are of a run that nothing "
                 self.damage.append(
                     Damage(place.name, 0, 0, reason + "describes; they are left out", {})
                 )
@@ -118,43 +129,41 @@ class BagContent:
     @property
     def is_whole(self) -> bool:
         """Whether no message is lost that was written."""
-        return all(damage.lost == 0 for damage in self.damage)
+        return self._is_gapless and all(damage.lost == 0 for damage in self.damage)
 
     def _read(self, file):
         """Take the messages of the next file; return how many messages of all kinds it has."""
-        wanted, count = None, 0
-        passed, noted = 0, sorted(file.damage, key=lambda damage: damage.position)
-        known = len(noted)
-        for batch in file.batches():
-            count += len(batch.offsets)
-            # Damage before this batch: what was found at first, and what was found meanwhile.
-            while passed < len(noted) and noted[passed].position < batch.position:
-                self._pass(file, noted[passed])
-                passed += 1
-            for damage in file.damage[known:]:
-                self._pass(file, damage)
-            known = len(file.damage)
-            sizes = len(file.channels), len(file.schemas)
-            if wanted is None or wanted[0] != sizes:
-                wanted = sizes, _wanted(file)
-            self._take(batch, wanted[1])
-        for damage in (*noted[passed:], *file.damage[known:]):
-            self._pass(file, damage)
+        wanted, sizes, count = {}, None, 0
+        for part in file.batches_and_gaps():
+            if sizes != (len(file.channels), len(file.schemas)):
+                sizes, wanted = (len(file.channels), len(file.schemas)), _wanted(file)
+            if isinstance(part, Batch):
+                count += len(part.offsets)
+                self._take(part, wanted)
+            else:
+                self._pass(file, part, wanted)
         for record in file.metadata:
             if record.name == NOTES and "lost" in record.metadata:
                 lost = record.metadata["lost"]
                 self.lost = int(lost) if lost.isdecimal() and len(lost) < 20 else None
         return count
 
-    def _pass(self, file, damage):
-        """Know no description any more, if one may have been lost."""
-        if damage.lost_in is None:
-            lost = None
-        else:
-            lost = {i for i, count in damage.lost_in.items() if count}
-        for i, (kind, prefix, _) in _wanted(file).items():
-            if kind == "SystemDescription" and (lost is None or i in lost):
-                self._simulator(prefix).is_known = False
+    def _pass(self, file, gap, wanted):
+        """Know no description any more, if one may have been lost of which there is no copy."""
+        for i, (kind, prefix, schema) in wanted.items():
+            if kind != "SystemDescription" or file.channels[i].topic not in (
+                {file.channels[i].topic} if gap.topics is None else gap.topics
+            ):
+                continue
+            simulator = self._simulator(prefix)
+            copies = [m for at, m in file.copies if at < gap.end and m.channel_id == i]
+            copies = [m for m in copies if _place(m) not in simulator.seen]
+            simulator.is_known = False
+            if copies and len(copies) == gap.lost_in.get(i):
+                for m in copies:
+                    message = decoded(schema, m.data)
+                    simulator.describe(simulator.bead_count, _place(m), message)
+        self._is_gapless = False
 
     def _know_nothing(self):
         for simulator in self.simulators.values():
@@ -179,9 +188,9 @@ class BagContent:
                 beads = present[beads[0]] if beads else np.empty(0, int)
                 for k in places:
                     count = before.get(prefix, 0) + int(np.searchsorted(beads, k))
-                    message = decoded(schema, batch.payload(k))
-                    simulator.descriptions.append((count, message))
-                simulator.is_known = True
+                    data = batch.payload(k)
+                    place = (*batch.heads[k].tolist()[3:], data)
+                    simulator.describe(count, place, decoded(schema, data))
             else:
                 if not simulator.is_known:
                     places = places[places > self._described(present, wanted, prefix)]
@@ -196,6 +205,10 @@ class BagContent:
         """From which of a batch's messages on the run is known."""
         found = [present[i][0] for i in present if wanted[i][:2] == ("SystemDescription", prefix)]
         return min(found, default=np.inf)
+
+
+def _place(message):
+    return message.sequence, message.log_time, message.publish_time, message.data
 
 
 def runs_of(bag: BagContent, simulator: Simulator, name: str) -> list[np.ndarray]:
@@ -215,7 +228,7 @@ def runs_of(bag: BagContent, simulator: Simulator, name: str) -> list[np.ndarray
 
     for schema, rows in simulator.blocks[name]:
         while len(rows):
-            fits = layout is not None and layout[0] is schema and layout[1].fits(rows)
+            fits = layout is not None and layout[0] == schema and layout[1].fits(rows)
             count = _leading(fits) if fits is not False else 0
             if not count:
                 split()

@@ -1,11 +1,12 @@
 """Records of MCAP files: taken apart, checked and unpacked within bounds."""
 
+import base64
 import functools
 import io
 import json
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import lz4.frame
@@ -22,6 +23,7 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
+    Message,
     Metadata,
     MetadataIndex,
     Schema,
@@ -34,8 +36,10 @@ from tss_ros.core import TssError
 MAX_RECORD_BYTES = 256 * 2**20
 #: A file may unpack to so many times its size, and to SPARE_BYTES more; recordings reach 20.
 MAX_RATIO, SPARE_BYTES = 100, 64 * 2**20
-#: Name of the metadata record that repeats schemas and channels.
-TOPICS = "tss_ros_topics"
+#: Names of metadata records that repeat schemas and channels, and a message of a latched topic.
+TOPICS, LATCHED = "tss_ros_topics", "tss_ros_latched"
+#: Name of the one that says, in a recovered file, where messages were lost, and of which topics.
+GAP = "tss_ros_gap"
 #: What the libraries raise at damaged data.
 DAMAGE = (McapError, ValueError, TypeError, LookupError, RuntimeError, struct.error, EOFError)
 DAMAGE += (zstandard.ZstdError,)
@@ -131,9 +135,11 @@ class Batch:
     chunk: Chunk | None = None
 
     @classmethod
-    def of(cls, data: bytes, offsets: list[int], position: int, chunk: Chunk | None) -> "Batch":
+    def of(
+        cls, data: bytes, offsets: Sequence[int], position: int, chunk: Chunk | None
+    ) -> "Batch":
         """Messages at offsets of a buffer."""
-        data, offsets = np.frombuffer(data, np.uint8), np.array(offsets, int)
+        data, offsets = np.frombuffer(data, np.uint8), np.array(offsets, dtype=int)
         heads = data[offsets[:, None] + np.arange(MESSAGE_HEAD.itemsize)].view(MESSAGE_HEAD)
         return cls(data, offsets, heads.reshape(-1), position, chunk)
 
@@ -194,8 +200,12 @@ class Unpacker:
 
     def messages(self, batch: Batch) -> Batch:
         """A batch with its messages unpacked, should they be compressed one by one."""
-        packed = np.flatnonzero(batch.sizes >= len(_ZSTD_MAGIC))
-        begins = batch.offsets[packed, None] + MESSAGE_HEAD.itemsize + np.arange(len(_ZSTD_MAGIC))
+        if not len(batch.offsets):
+            return batch
+        firsts = np.minimum(batch.offsets + MESSAGE_HEAD.itemsize, len(batch.data) - 1)
+        packed = np.flatnonzero(batch.data[firsts] == _ZSTD_MAGIC[0])
+        packed = packed[batch.sizes[packed] >= len(_ZSTD_MAGIC)]
+        begins = batch.offsets[packed, None] + MESSAGE_HEAD.itemsize + np.arange(4)
         packed = set(packed[(batch.data[begins] == _ZSTD_MAGIC).all(axis=1)].tolist())
         if not packed:
             return batch
@@ -307,23 +317,61 @@ def pack_topics(schemas: Iterable[Schema], channels: Iterable[Channel]) -> dict[
     schemas = [[s.id, s.name, s.encoding, s.data.decode("latin-1")] for s in schemas]
     names = ("id", "topic", "message_encoding", "metadata", "schema_id")
     channels = [[getattr(channel, name) for name in names] for channel in channels]
-    text = json.dumps([schemas, channels])
-    return {"topics": text, "crc32": str(zlib.crc32(text.encode()))}
+    return _packed([schemas, channels])
 
 
 def unpack_topics(content: dict[str, str]) -> list[McapRecord]:
     """The schemas and channels of a metadata record TOPICS; none if it is not intact."""
-    text = content.get("topics", "")
-    if content.get("crc32") != str(zlib.crc32(text.encode())):
-        return []
     try:
-        schemas, channels = json.loads(text)
+        schemas, channels = _unpacked(content)
         return [
             *(Schema(i, d.encode("latin-1"), encoding, name) for i, name, encoding, d in schemas),
             *(Channel(*channel) for channel in channels),
         ]
     except (AttributeError, *DAMAGE):
         return []
+
+
+def pack_message(message: Message) -> dict[str, str]:
+    """A message as the content of a metadata record LATCHED."""
+    data = base64.b64encode(message.data).decode()
+    place = [message.channel_id, message.log_time, message.publish_time, message.sequence]
+    return _packed([*place, data])
+
+
+def unpack_message(content: dict[str, str]) -> Message | None:
+    """The message of a metadata record LATCHED; None if it is not intact."""
+    try:
+        channel, log_time, publish_time, sequence, data = _unpacked(content)
+        return Message(channel, log_time, base64.b64decode(data), publish_time, sequence)
+    except (AttributeError, *DAMAGE):
+        return None
+
+
+def pack_gap(topics: Iterable[str] | None) -> dict[str, str]:
+    """The topics that lost messages, None for any, as the content of a metadata record GAP."""
+    return _packed(None if topics is None else sorted(topics))
+
+
+def unpack_gap(content: dict[str, str]) -> set[str] | None:
+    """The topics of a metadata record GAP; None for any, and if it is not intact."""
+    try:
+        topics = _unpacked(content)
+        return None if topics is None else set(topics)
+    except (AttributeError, *DAMAGE):
+        return None
+
+
+def _packed(content):
+    text = json.dumps(content)
+    return {"content": text, "crc32": str(zlib.crc32(text.encode()))}
+
+
+def _unpacked(packed):
+    text = packed["content"]
+    if packed["crc32"] != str(zlib.crc32(text.encode())):
+        raise ValueError("a copy is damaged")
+    return json.loads(text)
 
 
 def one_line(text: object) -> str:

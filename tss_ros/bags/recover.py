@@ -9,8 +9,11 @@ import os
 import re
 import stat
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from tss_ros.bags.checks import (
     CheckedFile,
@@ -20,9 +23,10 @@ from tss_ros.bags.checks import (
     topic_of,
 )
 from tss_ros.bags.directory import METADATA, create, find_files, lock, sync_directory
-from tss_ros.bags.mcap_file import McapFile
-from tss_ros.bags.records import BagError, Batch, one_line
-from tss_ros.bags.writer import FIRST_NOTES, NOTES, BagFile, begin, finish, write_metadata
+from tss_ros.bags.mcap_file import Gap, McapFile
+from tss_ros.bags.metadata import NOTES, BagFile, write_metadata
+from tss_ros.bags.records import GAP, BagError, Batch, one_line, pack_gap
+from tss_ros.bags.writer import FIRST_NOTES, begin, finish
 from tss_ros.core import TssError
 
 DAMAGED_SUFFIX = ".damaged"
@@ -155,13 +159,18 @@ def _rewrite(checked, notes):
     path = checked.path
     final = path.with_name(path.name.removesuffix(".zstd"))
     fresh = final.with_suffix(".mcap.recovering")
+    with McapFile(path, follow=False) as source:
+        lost_copies = _copies_alone(source)
     with McapFile(path, follow=False) as source, create(fresh) as stream:
         for record in source.metadata:
             if record.name in (NOTES, FIRST_NOTES):
                 notes = {**notes, **record.metadata}
         copy = _Copy(source, begin(stream), BagFile(final.name))
-        for batch in source.batches():
-            copy.add(batch)
+        for part in source.batches_and_gaps():
+            if isinstance(part, Batch):
+                copy.add(part)
+            else:
+                copy.add_gap(part, lost_copies)
         account = f"{path}: {_account(source, checked, copy, os.stat(path).st_mtime_ns)}"
         before = notes.get("lost", "")
         before = int(before) if re.fullmatch(r"\d{1,18}", before) else 0
@@ -181,6 +190,19 @@ def _rewrite(checked, notes):
     return whole, f"{account}; the damaged file is now {aside.name}"
 
 
+def _copies_alone(file):
+    """Copies of latched messages that no intact chunk has, and where they are."""
+    places = {
+        (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data): at
+        for at, m in file.copies
+    }
+    numbers = {place[0] for place in places}
+    for batch in file.batches() if numbers else ():
+        for i in np.flatnonzero(np.isin(batch.heads["channel"], list(numbers))):
+            places.pop((*batch.heads[i].tolist()[2:], batch.payload(i)), None)
+    return [(at, *place) for place, at in places.items() if place[0] in file.channels]
+
+
 class _Copy:
     """Writes the messages of a file into another."""
 
@@ -198,6 +220,23 @@ class _Copy:
             self.writer.add_message(channel, log_time, batch.payload(i), publish_time, sequence)
             self.entry.add(topic, log_time)
             self.newest_ns = publish_time
+
+    def add_gap(self, gap: Gap, lost_copies: list[tuple]):
+        """Tell where messages were lost, and add those that are lost, but for a copy."""
+        found = [copy for copy in lost_copies if copy[0] < gap.end]
+        topics, counts = gap.topics, Counter(copy[1] for copy in found)
+        if topics is not None:
+            told = {n for n, count in gap.lost_in.items() if count == counts[n]}
+            topics = topics - {self.source.channels[n].topic for n in told}
+        if gap.topics is None or gap.topics:
+            self.writer.flush()
+            self.writer.add_metadata(GAP, pack_gap(topics))
+        for copy in found:
+            lost_copies.remove(copy)
+            _, number, sequence, log_time, publish_time, data = copy
+            topic, channel = self._channels.get(number) or self._channel(number)
+            self.writer.add_message(channel, log_time, data, publish_time, sequence)
+            self.entry.add(topic, log_time)
 
     def _channel(self, number):
         channel = self.source.channels[number]

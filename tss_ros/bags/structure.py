@@ -27,7 +27,9 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from tss_ros.bags.records import (
     DAMAGE,
+    GAP,
     HEAD,
+    LATCHED,
     MAX_RECORD_BYTES,
     PRIVATE,
     TOPICS,
@@ -41,6 +43,8 @@ from tss_ros.bags.records import (
     parsed,
     records,
     stream_of,
+    unpack_gap,
+    unpack_message,
     unpack_topics,
 )
 from tss_ros.core import TssError
@@ -96,8 +100,11 @@ class McapStructure:
         Of the records of the data section.
     header : mcap.records.Header or None
     schemas, channels : dict
-        By number.
     metadata : list of mcap.records.Metadata
+    copies : list of tuple of int and mcap.records.Message
+        Copies of latched messages, which stand before the chunks that have them; and where.
+    gaps : list of tuple of int and set of str or None
+        Where messages were lost before the file was recovered, and of which topics, None for any.
     statistics : mcap.records.Statistics or None
         As the summary says, if there is an intact one.
     chunk_indexes : list of mcap.records.ChunkIndex
@@ -121,7 +128,7 @@ class McapStructure:
         self.path = Path(path)
         self.damage, self.schemas, self.channels, self.metadata = [], {}, {}, []
         self.header, self.statistics, self.chunk_indexes, self._resumes = None, None, [], []
-        self.places = []
+        self.places, self.copies, self.gaps = [], [], []
         self.is_ended, self._chunked, self._end = False, None, 0
         self._chunk_starts, self._unchecked = [], []
         self.summary_checksum = self.data_checksum = self.unplaced = 0
@@ -257,8 +264,7 @@ class McapStructure:
         while (place := self._place(position, self.size)) and place.opcode != Opcode.FOOTER:
             position = place.end
         if place is None:
-            self._note_cut(position)
-            return
+            return self._note_cut(position)
         self._read_summary(place.position, needs_magic=False)
         if self.at(place.end, len(MAGIC)) != MAGIC:
             self.note(place.end, self.size, "its last bytes are damaged", {})
@@ -308,6 +314,11 @@ class McapStructure:
             if place.record.name == TOPICS:
                 for definition in unpack_topics(place.record.metadata):
                     self._define(definition)
+            elif place.record.name == LATCHED:
+                message = unpack_message(place.record.metadata)
+                self.copies += [(place.position, message)] if message else []
+            elif place.record.name == GAP:
+                self.gaps.append((place.position, unpack_gap(place.record.metadata)))
 
     def _define(self, record):
         """Take a schema or a channel, unless another of its number is known."""
