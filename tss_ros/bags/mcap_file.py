@@ -111,7 +111,8 @@ class McapFile(McapStructure):
                     raise ValueError("it has lost its checksum")
                 raw = self._unpacker.chunk(chunk)
                 mark = chunk.uncompressed_crc, len(raw), chunk.message_start_time
-                if chunk.uncompressed_crc and mark in self._seen:
+                # Where statistics tell how many there are, all may be there.
+                if self.statistics is None and chunk.uncompressed_crc and mark in self._seen:
                     self.note(place.position, place.end, "it repeats another chunk", {})
                     return None
                 self._seen.add(mark)

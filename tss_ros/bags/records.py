@@ -244,6 +244,8 @@ def messages_in(data: bytes) -> tuple[list[int], list[McapRecord]]:
             offsets.append(at)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             definitions.append(parsed(opcode, data[at : at + HEAD.size + length]))
+        elif opcode < PRIVATE or length < _LEAST_MESSAGE:
+            raise ValueError(f"there is a record of kind {opcode} in it")
     return offsets, definitions
 
 
