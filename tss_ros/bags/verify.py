@@ -67,14 +67,14 @@ def verify(bag: str | Path) -> Verification:
 
 
 def _unaccounted(checked):
-    """Gaps of sequence numbers that the recorder did not count."""
+    """Gaps of sequence numbers that the recorder did not count, as lost or as malformed."""
     notes = checked[-1].notes
-    missing, lost = sum(file.missing for file in checked), notes.get("lost")
-    if lost is None or not all(file.notes for file in checked):
+    missing = sum(file.missing for file in checked)
+    if "lost" not in notes or not all(file.notes for file in checked):
         return
-    is_recovered = any(name.startswith("recovered ") for name in notes)
-    if not (lost == str(missing) or (is_recovered and lost.isdecimal() and int(lost) >= missing)):
-        reason = f"sequence numbers leave out {missing} messages; the recorder counted {lost:.20}"
+    told = [n for name, n in notes.items() if name == "lost" or name.startswith("malformed ")]
+    if missing > (counted := sum(int(n) for n in told if n.isdecimal())):
+        reason = f"sequence numbers leave out {missing} messages; the recorder counted {counted}"
         yield Damage(checked[-1].path.name, 0, 0, reason, {})
 
 

@@ -47,6 +47,8 @@ class BagWriter:
     ----------
     notes : dict of str to str
         Written into each file as it is completed, and into metadata.yaml.
+    is_complete : bool
+        Whether the bag is.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class BagWriter:
         self.directory = Path(directory)
         self.notes = {"recorder": f"tss_ros {version('tss_ros')}", "ros_distro": ros_distro}
         self.message_count = 0
+        self.is_complete = False
         self._ros_distro = ros_distro
         self._split_bytes, self._split_s = split_bytes, split_s
         self._topics = []
@@ -196,6 +199,7 @@ class BagWriter:
             if in_place:
                 topics = [topic for topic, _ in self._topics]
                 write_metadata(self.directory, self._files, topics, self._ros_distro, self.notes)
+                self.is_complete = True
         except OSError as error:
             raise self._failure(error) from error
         finally:
