@@ -14,7 +14,9 @@ from rclpy.node import Node
 from tss_interfaces.msg import RecorderStatus
 
 from tss_ros.bags.cdr import stamp_ns, step_number
+from tss_ros.bags.records import BagError
 from tss_ros.bags.recover import find_cut
+from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
 from tss_ros.ros import diagnostics, parameters
@@ -155,6 +157,10 @@ class LoggerNode(TssNode):
             f"{self._writer.path}: {self._writer.message_count} messages, {self._lost} lost",
             flush=True,
         )
+        if self._writer.is_complete:
+            faults = check_quickly(self._writer.directory, self._writer.message_count)
+            if faults:
+                raise BagError(f"{self._writer.directory} is not as it was written: {faults[0]}")
 
     @property
     def _lost(self):

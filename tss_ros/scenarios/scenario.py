@@ -21,11 +21,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.system import finite
+from tss_ros.scenarios import files
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
 _FOLDER = Path(__file__).parent
@@ -112,10 +111,9 @@ def read_text(name_or_path: str | Path) -> str:
             f" got {text!r}"
         )
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise TssError(f"scenario file {text!r} cannot be read: {reason}") from None
+        return files.read_text(path)
+    except TssError as error:
+        raise TssError(f"scenario file {error}") from None
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -136,20 +134,13 @@ def load(name_or_path: str | Path) -> Scenario:
         If there is no such scenario or something in it is wrong; the text says what and where.
     """
     text = str(name_or_path)
-    try:
-        content = yaml.safe_load(read_text(text))
-    except yaml.YAMLError as error:
-        raise TssError(f"scenario file {text!r} is not valid YAML: {_one_line(error)}") from None
+    content = files.load_yaml(read_text(text), f"scenario file {text!r}")
     try:
         scenario = _parse(text, content)
         scenario.build()
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     return scenario
-
-
-def _one_line(error):
-    return " ".join(str(error).split())
 
 
 def _parse(name, content):

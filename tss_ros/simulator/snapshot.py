@@ -4,15 +4,25 @@ Its entries are `format_version`, `setup_*` (what the simulation must agree in),
 state it is) and `integrator_*` (what the integrator remembers, see `checkpoint`).
 """
 
+import errno
+import os
+import struct
 import zipfile
+import zlib
 
 import numpy as np
 
 from tss_ros.core import TssError
+from tss_ros.scenarios.files import open_regular
 from tss_ros.simulator.checkpoint import Checkpoint
 
 #: Raised whenever entries change. Version 1 had no number and the integrator's own names.
 FORMAT_VERSION = 3
+#: What the entries of a snapshot may need besides their numbers [B].
+MORE_BYTES = 2**20
+#: What reading an archive raises, whatever it holds.
+_UNREADABLE = (OSError, ValueError, TypeError, LookupError, EOFError, RuntimeError, MemoryError)
+_UNREADABLE += (struct.error, zlib.error, zipfile.BadZipFile, SyntaxError)
 
 
 def write(
@@ -80,12 +90,19 @@ def read(
     TssError
         If it is no snapshot, or one of another version or another system.
     """
+    if not os.path.lexists(_checked(file)):
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), file)
+    most = MORE_BYTES + sum(
+        np.asarray(array).nbytes for array in (*identity.values(), *like.arrays.values())
+    )
     try:
-        with np.load(_checked(file), allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        with open_regular(file) as stream, zipfile.ZipFile(stream) as packed:
+            size = sum(member.file_size for member in packed.infolist())
+            if size > most:
+                raise ValueError(f"it would unpack to {size} bytes; allowed here: {most}")
+            with np.load(stream, allow_pickle=False) as archive:
+                content = {name: archive[name] for name in archive.files}
+    except _UNREADABLE as error:
         raise TssError(f"snapshot {file!r:.200} cannot be read: {_reason(error)}") from None
     version = content.get("format_version", 1)
     if not np.array_equal(version, FORMAT_VERSION):
