@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.service import Service
 
 from tss_ros.core import TssError
-from tss_ros.ros.network import check_reach, stay_on_this_machine
+from tss_ros.ros.network import joined, stay_on_this_machine
 
 #: Longest time [s] between the end of the context by a signal and the call of our handler.
 HANDLER_DELAY_S = 0.5
@@ -124,8 +124,8 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
         rclpy.init()
         set_logger_level("rcl", LoggingSeverity.UNSET)
         executor = SingleThreadedExecutor()
-        node = node_class()
-        check_reach()
+        with joined():
+            node = node_class()
         executor.add_node(node)
         node.start()
         # Not spin(): rclpy's handler may wake the executor before it has shut the context down.

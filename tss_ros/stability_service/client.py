@@ -22,7 +22,7 @@ from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
 from tss_ros.core import TssError
-from tss_ros.ros.network import stay_on_this_machine
+from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
@@ -219,7 +219,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = _parse(remove_ros_args(argv)[1:])
         show = _progress_line(len(options.rates))
         rclpy.init(args=argv)
-        node = rclpy.create_node("stability_client")
+        with joined():
+            node = rclpy.create_node("stability_client")
         results = compute(
             node,
             f"{options.node}/compute_floquet",
