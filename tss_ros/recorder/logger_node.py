@@ -6,94 +6,29 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
-from tss_interfaces.msg import RecorderStatus
+from rclpy.serialization import deserialize_message
+from tss_interfaces.msg import RecorderStatus, SimulationStatus
 
-from tss_ros.bags.cdr import stamp_ns, step_number
+from tss_ros.bags.cdr import step_number
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
+from tss_ros.recorder.recorded_topic import RecordedTopic
+from tss_ros.recorder.simulators import Simulators
+from tss_ros.recorder.watch import Watch
 from tss_ros.ros import diagnostics, parameters
 from tss_ros.ros.messages import stamp
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import Topic, read_topics
+from tss_ros.ros.topics import read_topics
 
-#: A topic with more messages than this waiting lets the others have their turn.
-DRAIN_LIMIT = 50
 FLUSH_PERIOD_S = 0.25
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
-
-
-class RecordedTopic:
-    """A subscription to serialised messages whose callback takes all that wait, not one at a time.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    topic : Topic
-    writer : BagWriter
-    on_message : callable
-        Called with this object, the serialised message and its middleware information.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        topic: Topic,
-        writer: BagWriter,
-        on_message: Callable[["RecordedTopic", bytes, dict[str, Any]], None],
-    ) -> None:
-        self.name = topic.name
-        self.stamp_offset = topic.stamp_offset
-        self.of_simulator = topic.publisher == "sim_node"
-        self.every_step = self.of_simulator and topic.durability == "volatile"
-        self.lost = 0
-        self._depth = topic.depth
-        self._message_class = topic.message_class
-        self._on_message = on_message
-        self._next_number = None
-        self.newest_ns = None
-        self.subscription = node.create_subscription(
-            topic.message_class, topic.name, self._take_waiting, topic.qos, raw=True
-        )
-        self.channel = writer.add_topic(
-            self.subscription.topic_name,
-            topic.type,
-            topic.definition,
-            topic.type_hash,
-            topic.offered_qos,
-        )
-
-    def count_lost(self, number: int | None) -> int:
-        """Return, and add up, the messages that were dropped before the one with this number.
-
-        Numbers that begin anew belong to a new publisher, and what was published before the first
-        message that arrived was never meant for this recorder.
-        """
-        if number is None:  # not every middleware counts
-            return 0
-        expected, self._next_number = self._next_number, number + 1
-        lost = number - expected if expected is not None and number > expected else 0
-        self.lost += lost
-        return lost
-
-    def take(self, limit: int | None = None) -> None:
-        """Handle the messages that wait, up to `limit` of them."""
-        for _ in range(limit or self._depth):
-            taken = self.subscription.handle.take_message(self._message_class, True)
-            if taken is None:
-                return
-            self._on_message(self, *taken)
-
-    def _take_waiting(self, data, info):
-        self._on_message(self, data, info)
-        self.take(DRAIN_LIMIT)
+#: Messages of an earlier run that come after the next one has begun are at most so late [ns].
+LATE_NS = 10**10
 
 
 class LoggerNode(TssNode):
@@ -115,10 +50,26 @@ class LoggerNode(TssNode):
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0
         self._topics = [
-            RecordedTopic(self, topic, self._writer, self._on_message)
+            RecordedTopic(self, topic, self._on_messages, self._on_malformed)
             for topic in topics.values()
             if topic.recorded
         ]
+        self._channels = {
+            topic: self._writer.add_topic(
+                topic.full_name,
+                topic.topic.type,
+                topic.topic.definition,
+                topic.topic.type_hash,
+                topic.topic.offered_qos,
+            )
+            for topic in self._topics
+        }
+        (self._descriptions,) = (t for t in self._topics if t.name == "system_description")
+        self._run_begun_ns, self._in_run = 0, set()  # when; topics that have said something of it
+        self._simulators = Simulators(self, self.get_logger())
+        self._watch = Watch(self._topics, self.get_logger())
+        reports = topics["simulation_status"]
+        self._reports = RecordedTopic(self, reports, self._on_reports, self._on_malformed)
         self._status = self.create_publisher(
             RecorderStatus, "recorder_status", topics["recorder_status"].qos
         )
@@ -145,8 +96,7 @@ class LoggerNode(TssNode):
         self._stopping.set()
         if self._recovery:
             self._recovery.terminate()  # the next start begins it anew
-        for topic in self._topics:
-            topic.take()
+        self._on_messages([message for topic in self._topics for message in topic.waiting()])
         self._writer.close()
         self._reporter.join(timeout=0.5)
         if self._live:
@@ -162,9 +112,14 @@ class LoggerNode(TssNode):
 
     def _note_lost(self):
         """Keep what the bag will say about losses up to date."""
-        self._writer.notes["lost"] = str(self._lost)
+        notes = self._writer.notes
+        notes["lost"] = str(self._lost)
         for topic in self._topics:
-            self._writer.notes[f"lost {topic.subscription.topic_name}"] = str(topic.lost)
+            notes[f"lost {topic.full_name}"] = str(topic.lost)
+            if topic.malformed:
+                notes[f"malformed {topic.full_name}"] = str(topic.malformed)
+        for name, count in self._simulators.left_out.items():
+            notes[f"left out of {name}"] = str(count)
 
     def _recover(self, cut):
         """Recover bags in a process of its own, which does not slow the recording down."""
@@ -178,17 +133,52 @@ class LoggerNode(TssNode):
         for line in self._recovery.communicate()[0].splitlines():
             self.get_logger().warning(line)
 
-    def _on_message(self, topic, data, info):
-        if topic.stamp_offset is not None:
-            self._newest_ns = topic.newest_ns = stamp_ns(data, topic.stamp_offset)
-        number = info["publication_sequence_number"]
-        if lost := topic.count_lost(number):
+    def _on_malformed(self, topic, reason):
+        if topic in self._topics:
+            self._note_lost()
+        self.get_logger().error(
+            f"malformed message of {topic.full_name} left out, {topic.malformed} so far: {reason}",
+            throttle_duration_sec=10.0,
+        )
+
+    def _on_reports(self, messages):
+        for _, taken in messages:
+            self._simulators.heard(taken.sender)
+            self._watch.on_status(deserialize_message(taken.data, SimulationStatus))
+
+    def _on_messages(self, messages):
+        # A description goes before all else of its run, so it is here by now.
+        messages += self._descriptions.waiting()
+        if any(message.topic is self._descriptions for message in messages):
+            for topic in self._topics:
+                messages += topic.waiting()
+            messages.sort(key=lambda message: message.taken.sent_ns)
+        for message in self._simulators.recorded(messages):
+            self._record(*message)
+
+    def _record(self, topic, taken):
+        if topic is self._descriptions and self._in_run:
+            self._writer.next_file()
+            self._run_begun_ns, self._in_run = taken.sent_ns, set()
+            self._incomplete.clear()
+        elif topic.every_step and topic not in self._in_run:
+            if 0 < self._run_begun_ns - taken.sent_ns < LATE_NS:
+                topic.lost += 1
+                self._note_lost()
+                self.get_logger().warning(f"a message of {topic.name} came after its run; left out")
+                return
+            self._in_run.add(topic)
+        data = taken.data
+        if (time_ns := topic.time_ns(data)) is not None:
+            self._newest_ns = topic.newest_ns = time_ns
+        if lost := topic.count_lost(taken):
             self._note_lost()
             self.get_logger().warning(
                 f"{lost} messages of {topic.name} were lost, {self._lost} in all"
             )
-        sent_ns = info["source_timestamp"]
-        self._writer.write(topic.channel, data, self._newest_ns, sent_ns, (number or 0) % 2**32)
+        self._writer.write(
+            self._channels[topic], data, self._newest_ns, taken.sent_ns, (taken.number or 0) % 2**32
+        )
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
@@ -230,6 +220,8 @@ class LoggerNode(TssNode):
                 raise
 
     def _diagnose(self):
+        self._watch.look()
+        self._note_lost()
         self._diagnostics.publish(
             diagnostics.of_recorder(
                 self.get_fully_qualified_name(),
@@ -237,6 +229,7 @@ class LoggerNode(TssNode):
                 str(self._writer.path),
                 self._writer.message_count,
                 self._writer.notes,
+                self._watch.complaint,
             )
         )
 

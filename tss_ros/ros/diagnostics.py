@@ -53,7 +53,7 @@ def of_simulator(
 
 
 def of_recorder(
-    name: str, stamp: Time, path: str, messages: int, notes: dict[str, str]
+    name: str, stamp: Time, path: str, messages: int, notes: dict[str, str], complaint: str
 ) -> DiagnosticArray:
     """Diagnostics of a recorder.
 
@@ -68,6 +68,8 @@ def of_recorder(
         Written so far.
     notes : dict of str to str
         What the bag will say; "lost" among them, the messages lost so far.
+    complaint : str
+        Why nothing arrives; empty if all is well.
 
     Returns
     -------
@@ -77,6 +79,8 @@ def of_recorder(
     level, text = DiagnosticStatus.OK, "nothing lost"
     if lost:
         level, text = DiagnosticStatus.ERROR, f"{lost} messages were lost"
+    if complaint:
+        level, text = DiagnosticStatus.ERROR, complaint
     values = {"output": path, "messages": str(messages), **notes}
     status = _status(f"{name}: recording", "none", level, text, values)
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])

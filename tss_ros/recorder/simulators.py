@@ -1,0 +1,99 @@
+"""Which of several simulators on one graph is recorded, and what is said of the others."""
+
+import collections
+import time
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+
+from tss_ros.recorder.recorded_topic import Message
+from tss_ros.recorder.taking import SENDER_BYTES
+
+#: A simulator that is not heard for so long [s] has ended, whatever the graph says: it reports more
+#: often than that. How often [s] the graph is asked at most.
+GONE_S, ASK_S = 1.5, 0.2
+#: Simulators whose latched messages are kept, for the case that they are recorded later.
+MOST_OTHERS = 10
+
+
+class Simulators:
+    """Lets the messages of one simulator pass: the first that is heard, until it has gone.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    logger : rclpy logger
+
+    Attributes
+    ----------
+    left_out : dict of str to int
+        Messages of other simulators that were not recorded, by node.
+    """
+
+    def __init__(self, node: Node, logger: RcutilsLogger) -> None:
+        self.left_out = collections.Counter()
+        self._node, self._logger = node, logger
+        self._followed, self._heard, self._asked = None, 0.0, 0.0
+        self._names = {}
+        self._latched = collections.defaultdict(list)
+
+    def heard(self, sender: bytes) -> None:
+        """Note that a process has reported."""
+        if sender == self._followed:
+            self._heard = time.monotonic()
+
+    def recorded(self, messages: list[Message]) -> list[Message]:
+        """Those of `messages` that are recorded, after older ones of a simulator that is new."""
+        kept = []
+        for message in messages:
+            if message.topic.of_simulator and message.taken.sender != self._followed:
+                if not self._follows(message):
+                    self._leave_out(message)
+                    continue
+                kept += self._latched.pop(message.taken.sender, ())
+            if message.topic.of_simulator:
+                self._heard = time.monotonic()
+            kept.append(message)
+        return kept
+
+    def _follows(self, message):
+        """Follow the sender of a message if nobody is followed any more."""
+        now, sender = time.monotonic(), message.taken.sender
+        gone = self._followed is None or now - self._heard > GONE_S
+        if not gone and now - self._asked > ASK_S:
+            self._asked = now
+            gone = self._followed not in self._senders(message.topic.full_name)
+        if gone:
+            self._followed = sender
+            self.left_out.pop(self._name(message), None)
+        return gone
+
+    def _leave_out(self, message):
+        name = self._name(message)
+        self.left_out[name] += 1
+        if message.topic.topic.durability == "transient_local":
+            latched = self._latched[message.taken.sender]
+            latched.append(message)
+            del latched[: -message.topic.topic.depth]
+            if len(self._latched) > MOST_OTHERS:
+                del self._latched[next(iter(self._latched))]
+        self._logger.error(
+            f"another simulator, {name}, publishes {message.topic.full_name} as well; it is not "
+            f"recorded, {self.left_out[name]} messages so far; give each a namespace of its own",
+            throttle_duration_sec=10.0,
+        )
+
+    def _senders(self, topic):
+        """Senders of a topic; also learns their names."""
+        senders = set()
+        for info in self._node.get_publishers_info_by_topic(topic):
+            sender = bytes(info.endpoint_gid)[:SENDER_BYTES]
+            senders.add(sender)
+            self._names[sender] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        return senders
+
+    def _name(self, message):
+        sender = message.taken.sender
+        if sender not in self._names:
+            self._senders(message.topic.full_name)
+        return self._names.get(sender, "of a name unknown")
