@@ -16,7 +16,7 @@ from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
 from tss_ros.recorder.recorded_topic import RecordedTopic
-from tss_ros.recorder.simulators import Simulators
+from tss_ros.recorder.simulators import Simulators, is_told
 from tss_ros.recorder.watch import Watch
 from tss_ros.ros import diagnostics, parameters
 from tss_ros.ros.messages import stamp
@@ -136,10 +136,11 @@ class LoggerNode(TssNode):
     def _on_malformed(self, topic, reason):
         if topic in self._topics:
             self._note_lost()
-        self.get_logger().error(
-            f"malformed message of {topic.full_name} left out, {topic.malformed} so far: {reason}",
-            throttle_duration_sec=10.0,
-        )
+        if is_told(topic.malformed):
+            self.get_logger().error(
+                f"malformed message of {topic.full_name} left out, {topic.malformed} so far: "
+                f"{reason}"
+            )
 
     def _on_reports(self, messages):
         for _, taken in messages:

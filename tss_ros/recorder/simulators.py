@@ -8,12 +8,19 @@ from rclpy.node import Node
 
 from tss_ros.recorder.recorded_topic import Message
 from tss_ros.recorder.taking import SENDER_BYTES
+from tss_ros.ros.topics import publishers
 
 #: A simulator that is not heard for so long [s] has ended, whatever the graph says: it reports more
 #: often than that. How often [s] the graph is asked at most.
 GONE_S, ASK_S = 1.5, 0.2
 #: Simulators whose latched messages are kept, for the case that they are recorded later.
 MOST_OTHERS = 10
+UNKNOWN = "a node of unknown name"
+
+
+def is_told(count: int) -> bool:
+    """Whether the log has a line for so many faults of one kind: for 1, 2, 4, 8, ... of them."""
+    return count & (count - 1) == 0
 
 
 class Simulators:
@@ -23,19 +30,22 @@ class Simulators:
     ----------
     node : rclpy.node.Node
     logger : rclpy logger
-
-    Attributes
-    ----------
-    left_out : dict of str to int
-        Messages of other simulators that were not recorded, by node.
     """
 
     def __init__(self, node: Node, logger: RcutilsLogger) -> None:
-        self.left_out = collections.Counter()
+        self._left_out = collections.Counter()  # by sender
         self._node, self._logger = node, logger
         self._followed, self._heard, self._asked = None, 0.0, 0.0
         self._names = {}
         self._latched = collections.defaultdict(list)
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Messages of other simulators that were not recorded, by node."""
+        counts = collections.Counter()
+        for sender, count in self._left_out.items():
+            counts[self._names.get(sender) or UNKNOWN] += count
+        return counts
 
     def heard(self, sender: bytes) -> None:
         """Note that a process has reported."""
@@ -65,35 +75,29 @@ class Simulators:
             gone = self._followed not in self._senders(message.topic.full_name)
         if gone:
             self._followed = sender
-            self.left_out.pop(self._name(message), None)
         return gone
 
     def _leave_out(self, message):
-        name = self._name(message)
-        self.left_out[name] += 1
-        if message.topic.topic.durability == "transient_local":
-            latched = self._latched[message.taken.sender]
+        sender, topic = message.taken.sender, message.topic
+        self._left_out[sender] += 1
+        if topic.topic.durability == "transient_local":
+            latched = self._latched[sender]
             latched.append(message)
-            del latched[: -message.topic.topic.depth]
+            del latched[: -topic.topic.depth]
             if len(self._latched) > MOST_OTHERS:
                 del self._latched[next(iter(self._latched))]
-        self._logger.error(
-            f"another simulator, {name}, publishes {message.topic.full_name} as well; it is not "
-            f"recorded, {self.left_out[name]} messages so far; give each a namespace of its own",
-            throttle_duration_sec=10.0,
-        )
+        if is_told(self._left_out[sender]):
+            if not self._names.get(sender):
+                self._senders(topic.full_name)
+            name = self._names.get(sender) or UNKNOWN
+            self._logger.error(
+                f"another simulator, {name}, publishes {topic.full_name} as well; it is not "
+                f"recorded, {self._left_out[sender]} messages so far; give each a namespace of "
+                "its own"
+            )
 
     def _senders(self, topic):
         """Senders of a topic; also learns their names."""
-        senders = set()
-        for info in self._node.get_publishers_info_by_topic(topic):
-            sender = bytes(info.endpoint_gid)[:SENDER_BYTES]
-            senders.add(sender)
-            self._names[sender] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-        return senders
-
-    def _name(self, message):
-        sender = message.taken.sender
-        if sender not in self._names:
-            self._senders(message.topic.full_name)
-        return self._names.get(sender, "of a name unknown")
+        names = {gid[:SENDER_BYTES]: name for gid, name in publishers(self._node, topic).items()}
+        self._names.update(names)
+        return names

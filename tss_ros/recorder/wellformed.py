@@ -46,7 +46,7 @@ class Form:
         if known and np.frombuffer(data, np.uint8)[known[0]].tobytes() == known[1]:
             return
         if data[:2] not in (b"\0\0", b"\0\1"):
-            raise Malformed(f"{self._type_name}: it begins with {data[:2].hex()!r}, not 0000 or 0001")
+            raise Malformed(f"{self._type_name}: it begins with {data[:2].hex()!r}, as no CDR does")
         walk = _Walk(data)
         try:
             self._read(walk)
