@@ -305,7 +305,7 @@ def test_a_restored_run_continues_bit_for_bit(paused):
     )
     simulator = ros_harness.Simulator(paused.node, paused.spin_until, "/other")
     simulator.join()
-    simulator.do(RestoreSnapshot, file=str(paused.directory / "exact.npz"))
+    simulator.do(RestoreSnapshot, file="exact.npz")
     simulator.do(StepSimulation, steps=400)
     simulator.settled()
     assert [motion(m) for m in simulator.beads[-401:]] == [motion(m) for m in original]
@@ -345,11 +345,11 @@ def test_snapshots_that_do_not_fit_are_refused(paused):
     assert "allowed: a path that ends in .npz" in paused.refused(SaveSnapshot, file="a.txt")[1]
     assert "No such file" in paused.refused(SaveSnapshot, file="no/where.npz")[1]
     assert paused.refused(RestoreSnapshot, file="b.npz")[0] == Result.RESULT_NOT_FOUND
-    whole = (paused.directory / "a.npz").read_bytes()
+    whole = (paused.directory / "service_files" / "a.npz").read_bytes()
     for name, content in (("cut", whole[: len(whole) // 2]), ("empty", b""), ("text", b"hello")):
-        (paused.directory / f"{name}.npz").write_bytes(content)
+        (paused.directory / "service_files" / f"{name}.npz").write_bytes(content)
         assert "cannot be read" in paused.refused(RestoreSnapshot, file=f"{name}.npz")[1]
-    arrays = dict(np.load(paused.directory / "a.npz"))
+    arrays = dict(np.load(paused.directory / "service_files" / "a.npz"))
     for name, value, expected in (
         ("integrator_position_m", np.full((3, 3), np.nan), "damaged"),
         ("integrator_velocity_m_s", arrays["integrator_velocity_m_s"][:1], "damaged"),
@@ -357,7 +357,7 @@ def test_snapshots_that_do_not_fit_are_refused(paused):
         ("place_base_ns", np.array(2**62), "allowed: 0 to 2^31"),
         ("setup_mass_kg", 2 * arrays["setup_mass_kg"], "another mass_kg"),
     ):
-        np.savez(paused.directory / f"bad_{name}.npz", **{**arrays, name: value})
+        np.savez(paused.directory / "service_files" / f"bad_{name}.npz", **{**arrays, name: value})
         assert expected in paused.refused(RestoreSnapshot, file=f"bad_{name}.npz")[1]
     assert paused.set(publish_period_s=7).successful
     paused.do(ResetSimulation)

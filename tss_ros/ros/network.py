@@ -63,6 +63,7 @@ def joined(context: Context | None = None) -> Iterator[None]:
         node = rclpy.create_node(
             f"_joining_{os.getpid()}_{attempt}",
             context=context,
+            use_global_arguments=False,  # which may name all nodes of the process alike
             enable_rosout=False,
             start_parameter_services=False,
         )

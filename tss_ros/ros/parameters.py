@@ -122,6 +122,10 @@ SIMULATOR = (
     ),
     Parameter("start_paused", bool, "Publish the initial state and pause there", default=False),
     Parameter(
+        "service_folder", str, "Folder of the snapshots and scenarios that services may name",
+        default="service_files", note="/: any file of this user",
+    ),
+    Parameter(
         "publish_clock", bool, "Publish /clock", default=True,
         note="of several simulators in one graph only one may",
     ),

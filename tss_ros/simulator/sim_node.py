@@ -12,8 +12,10 @@ from rclpy.parameter import Parameter
 
 from tss_ros.core import TssError
 from tss_ros.ros import diagnostics, frames, messages, parameters
+from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
+from tss_ros.scenarios.scenario import shipped
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.pacing import Pace
@@ -78,7 +80,12 @@ class SimNode(TssNode):
             status.message_class, status.name, self._flow.on_status, status.qos
         )
         SimulationServices(
-            self, self._control, self._make_setup, self._on_event, self._report_status
+            self,
+            self._control,
+            self._make_setup,
+            self._on_event,
+            self._report_status,
+            self._options["service_folder"],
         )
         self.every(RECORDER_CHECK_S, self._check_recorders)
         self.every(STATUS_PERIOD_S, self._report_regularly)
@@ -104,6 +111,9 @@ class SimNode(TssNode):
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
+            scenario = options["scenario"]
+            if scenario not in (self._options["scenario"], *shipped()):
+                inside(options["service_folder"], scenario, "scenario")
             parameters.build_system(*_system_of(options))
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
