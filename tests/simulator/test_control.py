@@ -1,5 +1,7 @@
 """Control of a running simulator over the middleware: state, steps, resets, disturbances, time."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import ros_harness
@@ -16,6 +18,7 @@ from tss_interfaces.srv import (
     StepSimulation,
 )
 
+import tss_ros
 from tss_ros.core import LAW_PARAMETERS, Propagator, State, ring
 from tss_ros.simulator.control import Code, PlayState
 
@@ -310,6 +313,42 @@ def test_a_restored_run_continues_bit_for_bit(paused):
     simulator.settled()
     assert [motion(m) for m in simulator.beads[-401:]] == [motion(m) for m in original]
     assert other.stop() == 0
+
+
+def test_services_reach_only_the_folder_of_their_own(paused):
+    """Neither a path outside nor a link that leads there is written, read or told of."""
+    folder, secret = paused.directory / "service_files", paused.directory / "secret.yaml"
+    paused.do(SaveSnapshot, file="mine.npz")
+    secret.write_text("password: hunter2")
+    (folder / "link").symlink_to(paused.directory)
+    (folder / "dangling.npz").symlink_to(paused.directory / "new.npz")
+    outside = ("../new.npz", str(paused.directory / "new.npz"), "link/new.npz", "dangling.npz")
+    for file in outside:
+        for kind in (SaveSnapshot, RestoreSnapshot):
+            code, why = paused.refused(kind, file=file)
+            assert code == Result.RESULT_OPERATION_FAILED
+            assert f"allowed: files in '{folder}', the node's service_folder" in why
+    assert "File name too long" in paused.refused(SaveSnapshot, file="a" * 5000 + ".npz")[1]
+    assert not (paused.directory / "new.npz").exists()
+    for scenario in (str(secret), "secret.yaml", "service_files/link/secret.yaml", "/etc/hostname"):
+        answer = paused.set(scenario=scenario)
+        assert not answer.successful and "the node's service_folder" in answer.reason
+        assert "hunter2" not in answer.reason
+    shipped = Path(tss_ros.__file__).parent / "scenarios" / "four_star.yaml"
+    (folder / "own.yaml").write_text(shipped.read_text())
+    assert paused.set(scenario="service_files/own.yaml").successful
+    assert paused.set(scenario="six_star").successful
+
+
+def test_the_folder_is_the_users_choice(start, tmp_path):
+    process = start(
+        "sim_node", "-r", "__ns:=/free", start_paused=True, publish_clock=False, service_folder="/"
+    )
+    with ros_harness.client_node() as client:
+        simulator = ros_harness.Simulator(*client, "/free")
+        simulator.do(SaveSnapshot, file=str(tmp_path / "anywhere.npz"))
+        simulator.do(RestoreSnapshot, file=str(tmp_path / "anywhere.npz"))
+    assert process.stop() == 0
 
 
 def test_a_snapshot_of_another_law_is_refused(paused):

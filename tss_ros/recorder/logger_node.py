@@ -27,6 +27,7 @@ FLUSH_PERIOD_S = 0.25
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
+LEFT_OUT = "left out of "
 #: Messages of an earlier run that come after the next one has begun are at most so late [ns].
 LATE_NS = 10**10
 
@@ -65,7 +66,8 @@ class LoggerNode(TssNode):
             for topic in self._topics
         }
         (self._descriptions,) = (t for t in self._topics if t.name == "system_description")
-        self._run_begun_ns, self._in_run = 0, set()  # when; topics that have said something of it
+        # When the run began, its first message here, and the topics that have said something of it.
+        self._run_begun_ns, self._first_sent_ns, self._in_run = 0, 0, set()
         self._simulators = Simulators(self, self.get_logger())
         self._watch = Watch(self._topics, self.get_logger())
         reports = topics["simulation_status"]
@@ -97,6 +99,7 @@ class LoggerNode(TssNode):
         if self._recovery:
             self._recovery.terminate()  # the next start begins it anew
         self._on_messages([message for topic in self._topics for message in topic.waiting()])
+        self._note_lost()
         self._writer.close()
         self._reporter.join(timeout=0.5)
         if self._live:
@@ -113,13 +116,15 @@ class LoggerNode(TssNode):
     def _note_lost(self):
         """Keep what the bag will say about losses up to date."""
         notes = self._writer.notes
+        for name in [name for name in notes if name.startswith(LEFT_OUT)]:
+            del notes[name]  # the names of simulators may have become known meanwhile
         notes["lost"] = str(self._lost)
         for topic in self._topics:
             notes[f"lost {topic.full_name}"] = str(topic.lost)
             if topic.malformed:
                 notes[f"malformed {topic.full_name}"] = str(topic.malformed)
         for name, count in self._simulators.left_out.items():
-            notes[f"left out of {name}"] = str(count)
+            notes[LEFT_OUT + name] = str(count)
 
     def _recover(self, cut):
         """Recover bags in a process of its own, which does not slow the recording down."""
@@ -158,7 +163,8 @@ class LoggerNode(TssNode):
             self._record(*message)
 
     def _record(self, topic, taken):
-        if topic is self._descriptions and self._in_run:
+        # Who joins a run may hear of it after its first steps here.
+        if topic is self._descriptions and self._in_run and taken.sent_ns > self._first_sent_ns:
             self._writer.next_file()
             self._run_begun_ns, self._in_run = taken.sent_ns, set()
             self._incomplete.clear()
@@ -168,6 +174,8 @@ class LoggerNode(TssNode):
                 self._note_lost()
                 self.get_logger().warning(f"a message of {topic.name} came after its run; left out")
                 return
+            if not self._in_run:
+                self._first_sent_ns = taken.sent_ns
             self._in_run.add(topic)
         data = taken.data
         if (time_ns := topic.time_ns(data)) is not None:
