@@ -1,5 +1,6 @@
 """Whether a serialised message is one of its type: what a recorder asks before it keeps it."""
 
+import contextlib
 import functools
 from collections.abc import Callable
 
@@ -91,12 +92,10 @@ class _Walk:
             self._check_text(self.data[begin : self.at])
 
     def _check_text(self, text):
-        try:
-            whole = text.decode().find("\0") == len(text) - 1
-        except UnicodeDecodeError:
-            whole = False
-        if not whole:
-            raise Malformed(f"{text[:40]!r} is no text")
+        with contextlib.suppress(UnicodeDecodeError):
+            if text.decode() and text.find(b"\0") == len(text) - 1:
+                return
+        raise Malformed(f"{text[:40]!r} is no text")
 
     def _check(self):
         if self.at > len(self.data):
