@@ -16,6 +16,7 @@ from tss_ros.bags.recover import find_cut
 from tss_ros.bags.writer import BagWriter
 from tss_ros.recorder.live_feed import LiveFeed
 from tss_ros.recorder.recorded_topic import RecordedTopic
+from tss_ros.recorder.run_order import RunOrder
 from tss_ros.recorder.simulators import Simulators, is_told
 from tss_ros.recorder.watch import Watch
 from tss_ros.ros import diagnostics, parameters
@@ -28,8 +29,6 @@ FLUSH_PERIOD_S = 0.25
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
 LEFT_OUT = "left out of "
-#: Messages of an earlier run that come after the next one has begun are at most so late [ns].
-LATE_NS = 10**10
 
 
 class LoggerNode(TssNode):
@@ -66,8 +65,7 @@ class LoggerNode(TssNode):
             for topic in self._topics
         }
         (self._descriptions,) = (t for t in self._topics if t.name == "system_description")
-        # When the run began, its first message here, and the topics that have said something of it.
-        self._run_begun_ns, self._first_sent_ns, self._in_run = 0, 0, set()
+        self._order = RunOrder(self._descriptions, self._record, self._begin_run)
         self._simulators = Simulators(self, self.get_logger())
         self._watch = Watch(self._topics, self.get_logger())
         reports = topics["simulation_status"]
@@ -77,7 +75,7 @@ class LoggerNode(TssNode):
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._note_lost()
-        self.every(FLUSH_PERIOD_S, self._writer.flush)
+        self.every(FLUSH_PERIOD_S, self._flush)
         self.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self._stopping = threading.Event()
         # Not a timer of the executor: a recorder that waits for its disk must be heard, too.
@@ -99,6 +97,7 @@ class LoggerNode(TssNode):
         if self._recovery:
             self._recovery.terminate()  # the next start begins it anew
         self._on_messages([message for topic in self._topics for message in topic.waiting()])
+        self._order.release(at_once=True)
         self._note_lost()
         self._writer.close()
         self._reporter.join(timeout=0.5)
@@ -112,6 +111,10 @@ class LoggerNode(TssNode):
     @property
     def _lost(self):
         return sum(topic.lost for topic in self._topics)
+
+    def _flush(self):
+        self._order.release()
+        self._writer.flush()
 
     def _note_lost(self):
         """Keep what the bag will say about losses up to date."""
@@ -153,30 +156,20 @@ class LoggerNode(TssNode):
             self._watch.on_status(deserialize_message(taken.data, SimulationStatus))
 
     def _on_messages(self, messages):
-        # A description goes before all else of its run, so it is here by now.
+        # A description is sent before all else of its run, so it is here by now.
         messages += self._descriptions.waiting()
         if any(message.topic is self._descriptions for message in messages):
-            for topic in self._topics:
-                messages += topic.waiting()
             messages.sort(key=lambda message: message.taken.sent_ns)
         for message in self._simulators.recorded(messages):
-            self._record(*message)
+            self._order.add(message)
+        self._order.release()
 
-    def _record(self, topic, taken):
-        # Who joins a run may hear of it after its first steps here.
-        if topic is self._descriptions and self._in_run and taken.sent_ns > self._first_sent_ns:
-            self._writer.next_file()
-            self._run_begun_ns, self._in_run = taken.sent_ns, set()
-            self._incomplete.clear()
-        elif topic.every_step and topic not in self._in_run:
-            if 0 < self._run_begun_ns - taken.sent_ns < LATE_NS:
-                topic.lost += 1
-                self._note_lost()
-                self.get_logger().warning(f"a message of {topic.name} came after its run; left out")
-                return
-            if not self._in_run:
-                self._first_sent_ns = taken.sent_ns
-            self._in_run.add(topic)
+    def _begin_run(self):
+        self._writer.next_file()
+        self._incomplete.clear()
+
+    def _record(self, message):
+        topic, taken = message
         data = taken.data
         if (time_ns := topic.time_ns(data)) is not None:
             self._newest_ns = topic.newest_ns = time_ns

@@ -74,7 +74,7 @@ class RecordedTopic(Waitable):
         self.every_step = self.of_simulator and topic.durability == "volatile"
         self.lost = self.malformed = self.heard = 0
         self.newest_ns = None
-        self._form = Form(topic.type)
+        self._form, self._stamp_offset = Form(topic.type), topic.stamp_offset
         self._has_step = topic.name in ("bead_states", "tether_states")
         self._on_messages, self._on_malformed = on_messages, on_malformed
         self._next_number = {}
@@ -113,8 +113,7 @@ class RecordedTopic(Waitable):
 
     def time_ns(self, data: bytes) -> int | None:
         """Simulation time [ns] of a message, None where the type has no stamp."""
-        offset = self.topic.stamp_offset
-        return None if offset is None else stamp_ns(data, offset)
+        return None if self._stamp_offset is None else stamp_ns(data, self._stamp_offset)
 
     def count_lost(self, taken: Taken) -> int:
         """Return, and add up, the messages that were dropped before this one.

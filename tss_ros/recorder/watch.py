@@ -57,7 +57,7 @@ class Watch:
             raise TssError(f"{shared_memory_lost(lost)}; the recording ends here, complete")
         earlier, self.complaint = self.complaint, self._find()
         if self.complaint:
-            self._logger.error(self.complaint, throttle_duration_sec=10.0)
+            self._logger.warning(self.complaint, throttle_duration_sec=10.0)
         elif earlier:
             self._logger.info("messages arrive again")
 

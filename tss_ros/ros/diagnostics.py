@@ -77,10 +77,10 @@ def of_recorder(
     """
     lost = int(notes["lost"])
     level, text = DiagnosticStatus.OK, "nothing lost"
+    if complaint:
+        level, text = DiagnosticStatus.WARN, complaint
     if lost:
         level, text = DiagnosticStatus.ERROR, f"{lost} messages were lost"
-    if complaint:
-        level, text = DiagnosticStatus.ERROR, complaint
     values = {"output": path, "messages": str(messages), **notes}
     status = _status(f"{name}: recording", "none", level, text, values)
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])
