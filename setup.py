@@ -31,7 +31,7 @@ setup(
     maintainer_email="maintainers@tss-ros.example",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["tss_ros", "tss_ros.*"]),
-    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml"]},
+    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml", "ros/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/tss_ros"]),
         ("share/tss_ros", ["package.xml"]),

@@ -11,7 +11,6 @@ with the same compression, but no counts, no metadata.yaml and no flushes to the
 
 import argparse
 import json
-import os
 import re
 import resource
 import signal
@@ -31,6 +30,7 @@ from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
 from tss_ros.review import review
 from tss_ros.ros.messages import StepMessages, system_description
+from tss_ros.ros.network import stay_on_this_machine
 from tss_ros.ros.topics import read_topics
 
 RATE, POOL, FLUSH_PERIOD_S = -2.5, 1000, 0.25
@@ -148,7 +148,7 @@ def main():
     parser.add_argument("--steps", type=int, default=1_000_000, help="of the bag that is opened")
     parser.add_argument("--millions", type=int, default=10, help="of messages, for the memory")
     options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     lines = []
 
     def tell(text):

@@ -173,17 +173,33 @@ class BagWriter:
                 self._synced = now
             size = self._file.tell()
             if (0 < self._split_bytes <= size) or (0 < self._split_s <= now - self._begun):
-                self._finish_file()
-                self._begin_file()
+                self.next_file()
             disk = os.fstatvfs(self._file.fileno())
         except OSError as error:
             raise self._failure(error) from error
         if disk.f_bavail * disk.f_frsize < RESERVE_BYTES + size // 100:
+            self.close()  # which says so where it fails
             raise TssError(
                 f"{self.path}: the disk is nearly full, so the recording ends here, complete"
             )
         if not self._is_in_place():
             raise TssError(f"{self.path} was moved or removed while it was recorded")
+
+    def next_file(self) -> None:
+        """Complete the file and begin the next one, as for a new run: log times may go back.
+
+        Raises
+        ------
+        TssError
+            If the disk does not take it.
+        """
+        if self._ended:
+            return
+        try:
+            self._finish_file()
+            self._begin_file()
+        except OSError as error:
+            raise self._failure(error) from error
 
     def close(self) -> None:
         """Complete the bag: indexes, summary, metadata.yaml. After a failure, do nothing.

@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -18,6 +19,7 @@ from tss_interfaces.srv import (
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
+from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
 from tss_ros.simulator.control import Code, Control, PlayState, Refused
 from tss_ros.simulator.simulation import Setup
@@ -39,6 +41,8 @@ class SimulationServices:
         Called with kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
         Called before every answer.
+    folder : str
+        Of the snapshots that requests may name.
     """
 
     def __init__(
@@ -48,9 +52,10 @@ class SimulationServices:
         make_setup: Callable[[], Setup],
         on_event: Callable[[str, str], None],
         on_answer: Callable[[], None],
+        folder: str,
     ) -> None:
         self._node, self._control, self._make_setup = node, control, make_setup
-        self._on_event, self._on_answer = on_event, on_answer
+        self._on_event, self._on_answer, self._folder = on_event, on_answer, folder
         # Requests that wait for the simulation hold up neither each other nor anything else.
         group = ReentrantCallbackGroup()
         for kind, name, callback in (
@@ -95,7 +100,7 @@ class SimulationServices:
         return await self._ask(response, self._do_disturb, request)
 
     async def _save(self, request, response):
-        return await self._ask(response, self._control.save, request.file)
+        return await self._ask(response, self._do_save, request.file)
 
     async def _restore(self, request, response):
         return await self._ask(response, self._do_restore, request.file)
@@ -138,9 +143,25 @@ class SimulationServices:
         what = [name for name, asked in (("time", time), ("state", state)) if asked]
         self._on_event("reset", " and ".join(what))
 
+    def _do_save(self, answer, file):
+        path = self._path(file)
+        try:
+            Path(self._folder).mkdir(mode=0o700, exist_ok=True)
+        except OSError as error:
+            raise TssError(
+                f"service_folder {self._folder!r} cannot be made: {error.strerror}"
+            ) from None
+        self._control.save(answer, path)
+
     def _do_restore(self, answer, file):
-        self._control.restore(answer, file)
+        self._control.restore(answer, self._path(file))
         self._on_event("restore", f"snapshot {file}")
+
+    def _path(self, file):
+        """Where a snapshot is that a request names."""
+        if not file.endswith(".npz"):
+            raise TssError(f"file is {file!r:.200}; allowed: a path that ends in .npz")
+        return str(inside(self._folder, Path(self._folder) / file, "snapshot"))
 
     def _do_disturb(self, answer, request):
         if request.bead:

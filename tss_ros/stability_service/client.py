@@ -3,7 +3,6 @@
 import argparse
 import csv
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,6 +22,7 @@ from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
 from tss_ros.core import TssError, in_words
+from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
@@ -219,12 +219,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         interrupted.
     """
     argv = sys.argv if argv is None else ["stability", *argv]
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     try:
         options = _parse(remove_ros_args(argv)[1:])
         show = _progress_line(len(options.rates))
         rclpy.init(args=argv)
-        node = rclpy.create_node("stability_client")
+        with joined():
+            node = rclpy.create_node("stability_client")
         results = compute(
             node,
             f"{options.node}/compute_floquet",
