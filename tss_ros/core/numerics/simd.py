@@ -25,8 +25,8 @@ def _compiled(cache=True, python=False, **options):
     """A decorator like `njit`, for functions that Python calls or that only compiled code calls.
 
     An entrance for Python takes longer to compile than most kernels. Caches hold for as long as
-    nothing that kernels are made of has changed: numba itself looks only at the file of the function, not at
-    what is inlined into it.
+    nothing that kernels are made of has changed: numba itself looks only at the file of the
+    function, not at what is inlined into it.
     """
     jit = njit(
         cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True,

@@ -24,7 +24,8 @@ from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
 SPIN_RATE_RATIO = "spin_rate_ratio"
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
-#: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go slack.
+#: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go
+#: slack.
 KINDS = ("fold", "branch point", "period doubling", "torus", "spin divergence", "first slack")
 #: Largest step, and distance to which special points are located, over the parameter.
 LONGEST_STEP, TOLERANCE = 0.04, 1e-7
