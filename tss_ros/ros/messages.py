@@ -18,11 +18,13 @@ from tss_interfaces.msg import (
     BeadStates,
     Confirmation,
     CriticalRate,
+    FamilyPoint,
     FloquetResult,
     Result,
     SimulationEvent,
     SimulationState,
     SimulationStatus,
+    SpecialPoint,
     SystemDescription,
     TetherStates,
 )
@@ -374,6 +376,28 @@ def failed_floquet_result(
 def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
     """A core CriticalRate of a system as a message; fields have the same names."""
     return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
+
+
+def family_point(point: core.FamilyPoint) -> FamilyPoint:
+    """A core FamilyPoint as a message; fields have the same names."""
+    return _same_fields(FamilyPoint, point, **_motion(point))
+
+
+def special_point(point: core.SpecialPoint) -> SpecialPoint:
+    """A core SpecialPoint as a message; fields have the same names."""
+    return _same_fields(SpecialPoint, point, **_motion(point))
+
+
+def _motion(point):
+    """The fields of multipliers and state."""
+    real, imag = np.real(point.multiplier), np.imag(point.multiplier)
+    several = np.ndim(point.multiplier) > 0
+    return {
+        "multiplier_real": _doubles(real) if several else float(real),
+        "multiplier_imag": _doubles(imag) if several else float(imag),
+        "position_m": _doubles(point.state.position_m),
+        "velocity_m_s": _doubles(point.state.velocity_m_s),
+    }
 
 
 def _same_fields(kind, value, **others):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rcl_interfaces.msg
 import rclpy
+from numpy.typing import ArrayLike
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -24,8 +25,9 @@ from tss_interfaces.srv import ComputeFloquet
 from tss_ros import plots
 from tss_ros.core import TssError
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
+from tss_ros.scenarios.parameters import read_assignment
+from tss_ros.scenarios.scenario import read_start_arrays
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
 GONE_S = 5.0
@@ -33,8 +35,6 @@ GONE_S = 5.0
 BATCH = 4
 #: What must be small for a result to be right; a jordan_error is the root of such an error.
 ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
-#: Parameters whose values are texts.
-TEXTS = {parameter.name for parameter in OVERRIDES if parameter.type is str}
 #: Headings, and formats of what `flat` makes of a result.
 TABLE = (
     ("rate/Omega", "{spin_rate_ratio:.6g}"),
@@ -66,6 +66,8 @@ def compute(
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
     confirm_turns: int = 0,
+    *,
+    start: tuple[ArrayLike, ArrayLike] = ((), ()),
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
@@ -86,6 +88,9 @@ def compute(
         How long to wait for the service to appear [s].
     confirm_turns : int
         Length of a disturbed simulation beside every verdict [turns]; 0 for none.
+    start : pair of array
+        Positions [m] and velocities [m/s], x, y, z of each bead in the orbit frame, next to the
+        motion that is meant; empty for the scenario's, or else the formation's own.
 
     Returns
     -------
@@ -100,6 +105,7 @@ def compute(
     client = node.create_client(ComputeFloquet, service)
     executor = SingleThreadedExecutor(context=node.context)
     results = []
+    position_m, velocity_m_s = (np.ravel(array).astype(float).tolist() for array in start)
 
     def wait():
         rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
@@ -121,6 +127,8 @@ def compute(
                 method=method,
                 overrides=list(overrides),
                 confirm_turns=confirm_turns,
+                position_m=position_m,
+                velocity_m_s=velocity_m_s,
             )
             answer = client.call_async(request)
             seen = time.monotonic()
@@ -228,6 +236,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.override,
             show,
             confirm_turns=options.confirm,
+            start=read_start_arrays(options.start) if options.start else ((), ()),
         )
         if show:
             print(file=sys.stderr)
@@ -280,6 +289,10 @@ def _parse(arguments):
         metavar="TURNS",
         help="simulate each disturbed formation for so many turns beside its verdict",
     )
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE",
+        help="the motion next to this one: position_m and velocity_m_s of each bead, YAML or JSON",
+    )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
@@ -311,20 +324,12 @@ def _is_number(text):
 
 
 def _override(text):
-    """A parameter message from "name=1.5", "name=3", "name=1,2.5,3", or "name=word"."""
-    name, _, values = text.partition("=")
-    if name in TEXTS:
-        return Parameter(name, value=values).to_parameter_msg()
+    """A parameter message from what `read_assignment` reads."""
     try:
-        numbers = [float(value) for value in values.strip("[]").split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be NAME=NUMBER or NAME=NUMBER,NUMBER,..."
-        ) from None
-    # ROS tells 3 from 3.0, and so does a node that wants a whole number.
-    if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
-        numbers = [int(number) for number in numbers]
-    return Parameter(name, value=numbers if "," in values else numbers[0]).to_parameter_msg()
+        name, value = read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Parameter(name, value=value).to_parameter_msg()
 
 
 def _progress_line(total):
