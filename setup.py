@@ -11,6 +11,7 @@ EXECUTABLES = {
     "logger_node": "recorder.logger_node:main",
     "stability": "stability_service.client:main",
     "sweep": "sweeps.command:main",
+    "follow": "sweeps.following:main",
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
     "review": "review.review:main",

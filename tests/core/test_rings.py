@@ -20,8 +20,8 @@ from tss_ros.core.motion import displacements
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator, Propagator
 from tss_ros.core.numerics.arnoldi import arnoldi
-from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
 from tss_ros.core.stability.families import nearest_motion
+from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
 from tss_ros.core.stability.shooting import closure, integrate_turn
 
 

@@ -9,9 +9,8 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
-from tss_ros.core import formation, ring
+from tss_ros.core import formation
 from tss_ros.core.stability.follow import follow
 
 MU, EARTH, ALTITUDE = 3.986e14, 6378e3, 1e6

@@ -10,11 +10,13 @@ from tss_ros.core.model.configurations import averaged_state, deviation, disturb
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
 from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.follow import Family, FamilyPoint, SpecialPoint, follow
 from tss_ros.core.stability.mode_shapes import (
     DIRECTIONS,
     Mode,
@@ -34,12 +36,15 @@ __all__ = [
     "FORMATIONS",
     "LAW_PARAMETERS",
     "METHODS",
+    "PARAMETERS",
     "TETHER_LAWS",
     "VERDICTS",
     "Cancelled",
     "ConfirmationJob",
     "Confirmation",
     "CriticalRate",
+    "Family",
+    "FamilyPoint",
     "FloquetResult",
     "IntegrationError",
     "CriticalRatesJob",
@@ -49,6 +54,7 @@ __all__ = [
     "Propagator",
     "FloquetJob",
     "Satellite",
+    "SpecialPoint",
     "State",
     "System",
     "Tether",
@@ -62,15 +68,18 @@ __all__ = [
     "disturbed",
     "elastic_energy",
     "find_critical_rates",
+    "follow",
     "formation",
     "in_words",
     "initial_state",
     "mode_motion",
     "name_resonance",
+    "parameter_of",
     "pushing_share",
     "ring",
     "sweep",
     "tether_state",
+    "with_parameter",
 ]
 
 #: Old names of jobs, kept for one release.

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from tss_ros.core import System, TssError
+from tss_ros.core import State, System, TssError
 from tss_ros.scenarios import parameters as scenario_parameters
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import MAX_BEADS
@@ -279,7 +279,7 @@ def read_overrides(messages: Iterable[rcl_interfaces.msg.Parameter]) -> dict[str
 
 def build_system(
     scenario_name: str, overrides: dict[str, object], max_beads: int = MAX_BEADS
-) -> tuple[System, float]:
+) -> tuple[System, float, State | None]:
     """Make the system of a scenario with some of its parameters overridden.
 
     Parameters
@@ -293,8 +293,8 @@ def build_system(
 
     Returns
     -------
-    tuple of System and float
-        The system and its spin rate ratio.
+    tuple of System, float and State or None
+        The system, its spin rate ratio, and the start that the scenario's own velocities make.
 
     Raises
     ------
@@ -308,4 +308,5 @@ def build_system(
             f"satellites and beads_per_tether make {system.n} satellites and beads; "
             f"allowed: at most {max_beads}"
         )
-    return system, overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
+    ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
+    return system, ratio, loaded.start(system)

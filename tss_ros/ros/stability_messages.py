@@ -3,7 +3,15 @@
 import array
 import math
 
-from tss_interfaces.msg import Confirmation, CriticalRate, FloquetResult, Mode
+import numpy as np
+from tss_interfaces.msg import (
+    Confirmation,
+    CriticalRate,
+    FamilyPoint,
+    FloquetResult,
+    Mode,
+    SpecialPoint,
+)
 
 from tss_ros import core
 from tss_ros.ros.messages import doubles
@@ -69,6 +77,28 @@ def failed_floquet_result(
 def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
     """A core CriticalRate of a system as a message; fields have the same names."""
     return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
+
+
+def family_point(point: core.FamilyPoint) -> FamilyPoint:
+    """A core FamilyPoint as a message; fields have the same names."""
+    return _same_fields(FamilyPoint, point, **_motion(point))
+
+
+def special_point(point: core.SpecialPoint) -> SpecialPoint:
+    """A core SpecialPoint as a message; fields have the same names."""
+    return _same_fields(SpecialPoint, point, **_motion(point))
+
+
+def _motion(point):
+    """The fields of multipliers and state."""
+    real, imag = np.real(point.multiplier), np.imag(point.multiplier)
+    several = np.ndim(point.multiplier) > 0
+    return {
+        "multiplier_real": doubles(real) if several else float(real),
+        "multiplier_imag": doubles(imag) if several else float(imag),
+        "position_m": doubles(point.state.position_m),
+        "velocity_m_s": doubles(point.state.velocity_m_s),
+    }
 
 
 def _same_fields(kind, value, **others):

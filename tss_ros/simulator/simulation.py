@@ -59,8 +59,14 @@ class Setup:
     tension_n: np.ndarray
 
     @classmethod
-    def of(cls, options: dict[str, Any], system: System, spin_rate_ratio: float) -> "Setup":
-        """Find the initial configuration, Eqs. (50)-(54), and disturb it.
+    def of(
+        cls,
+        options: dict[str, Any],
+        system: System,
+        spin_rate_ratio: float,
+        start: State | None = None,
+    ) -> "Setup":
+        """Find the initial configuration, Eqs. (50)-(54), unless one is given, and disturb it.
 
         Parameters
         ----------
@@ -68,6 +74,7 @@ class Setup:
             The simulator's parameters, by name.
         system : System
         spin_rate_ratio : float
+        start : State, optional
 
         Returns
         -------
@@ -78,7 +85,7 @@ class Setup:
         TssError
             If there is none for this system and rate.
         """
-        steady = initial_state(system, spin_rate_ratio)
+        steady = start or initial_state(system, spin_rate_ratio)
         return cls(
             options=options,
             system=system,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import rcl_interfaces.msg
 import rclpy
+from numpy.typing import ArrayLike
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -24,8 +25,9 @@ from tss_ros import plots
 from tss_ros.core import TssError, in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
+from tss_ros.scenarios.parameters import read_assignment
+from tss_ros.scenarios.scenario import read_start_arrays
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
 GONE_S = 5.0
@@ -35,8 +37,6 @@ BATCH = 4
 ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
 #: Times of a turn at which a mode is drawn.
 MODE_SAMPLES = 48
-#: Parameters whose values are texts.
-TEXTS = {parameter.name for parameter in OVERRIDES if parameter.type is str}
 #: Headings, and formats of what `flat` makes of a result.
 TABLE = (
     ("rate/Omega", "{spin_rate_ratio:.6g}"),
@@ -67,6 +67,7 @@ def compute(
     overrides: Iterable[rcl_interfaces.msg.Parameter] = (),
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
+    start: tuple[ArrayLike, ArrayLike] = ((), ()),
     **fields: int,
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
@@ -86,6 +87,9 @@ def compute(
         Called several times a second with the number of rates answered so far.
     patience_s : float
         How long to wait for the service to appear [s].
+    start : pair of array
+        Positions [m] and velocities [m/s], x, y, z of each bead in the orbit frame, next to the
+        motion that is meant; empty for the scenario's, or else the formation's own.
     **fields
         Others of the request, e.g. `confirm_turns` and `mode_samples`.
 
@@ -102,6 +106,7 @@ def compute(
     client = node.create_client(ComputeFloquet, service)
     executor = SingleThreadedExecutor(context=node.context)
     results = []
+    position_m, velocity_m_s = (np.ravel(array).astype(float).tolist() for array in start)
 
     def wait():
         rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
@@ -122,6 +127,8 @@ def compute(
                 spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
                 method=method,
                 overrides=list(overrides),
+                position_m=position_m,
+                velocity_m_s=velocity_m_s,
                 **fields,
             )
             answer = client.call_async(request)
@@ -234,6 +241,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.override,
             show,
             confirm_turns=options.confirm,
+            start=read_start_arrays(options.start) if options.start else ((), ()),
             mode_samples=MODE_SAMPLES if options.mode_shape else 0,
         )
         if show:
@@ -302,6 +310,10 @@ def _parse(arguments):
         metavar="TURNS",
         help="simulate each disturbed formation for so many turns beside its verdict",
     )
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE",
+        help="the motion next to this one: position_m and velocity_m_s of each bead, YAML or JSON",
+    )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
@@ -341,20 +353,12 @@ def _is_number(text):
 
 
 def _override(text):
-    """A parameter message from "name=1.5", "name=3", "name=1,2.5,3", or "name=word"."""
-    name, _, values = text.partition("=")
-    if name in TEXTS:
-        return Parameter(name, value=values).to_parameter_msg()
+    """A parameter message from what `read_assignment` reads."""
     try:
-        numbers = [float(value) for value in values.strip("[]").split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be NAME=NUMBER or NAME=NUMBER,NUMBER,..."
-        ) from None
-    # ROS tells 3 from 3.0, and so does a node that wants a whole number.
-    if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
-        numbers = [int(number) for number in numbers]
-    return Parameter(name, value=numbers if "," in values else numbers[0]).to_parameter_msg()
+        name, value = read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Parameter(name, value=value).to_parameter_msg()
 
 
 def _progress_line(total):

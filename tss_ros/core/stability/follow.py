@@ -81,6 +81,8 @@ class SpecialPoint:
         The one that leaves the circle, just outside; NaN for the other kinds.
     family : str
         Its family; "" for the other kinds.
+    after : int
+        Number of the family's point before it.
     state : State
         Start of the motion at the bracket's first end.
     """
@@ -91,6 +93,7 @@ class SpecialPoint:
     spin_rate_ratio: float
     multiplier: complex
     family: str
+    after: int
     state: State = field(repr=False)
 
 
@@ -367,7 +370,8 @@ class _Run:
         system, spin = self.at(middle)
         return SpecialPoint(
             kind, middle, 0.5 * abs(last.parameter - first.parameter),
-            spin / system.orbit_rate_rad_s, multiplier, family, self.equations.state(y),
+            spin / system.orbit_rate_rad_s, multiplier, family, len(self.points) - 1,
+            self.equations.state(y),
         )  # fmt: skip
 
 

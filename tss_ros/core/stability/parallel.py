@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 from tss_ros.core.errors import Cancelled, NoSteadyState, TssError
-from tss_ros.core.model.system import System
+from tss_ros.core.model.system import State, System
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
@@ -31,11 +31,13 @@ class FloquetJob:
     system: System
     spin_rate_ratio: float
     method: str = "monodromy"
+    state: State | None = None
 
     def run(self, cancelled: Callable[[], bool] | None = None) -> FloquetResult:
         """`compute_floquet` of this job."""
         return compute_floquet(
-            self.system, self.spin_rate_ratio, self.method, certify=False, cancelled=cancelled
+            self.system, self.spin_rate_ratio, self.method, self.state, certify=False,
+            cancelled=cancelled,
         )
 
 
