@@ -15,7 +15,7 @@ from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
-from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
+from tss_ros.core.stability.family import SPECIAL_KINDS, Family, FamilyPoint, SpecialPoint
 from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.follow import follow
 from tss_ros.core.stability.mode_shapes import (
@@ -37,6 +37,7 @@ __all__ = [
     "FORMATIONS",
     "LAW_PARAMETERS",
     "METHODS",
+    "SPECIAL_KINDS",
     "PARAMETERS",
     "TETHER_LAWS",
     "VERDICTS",

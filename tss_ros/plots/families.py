@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tss_ros.core import Family
+from tss_ros.core import SPECIAL_KINDS, Family
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, finish, state_law
 
 #: How stable, and how taut, a part of a family is, by look; `None` is any other verdict.
@@ -17,7 +17,6 @@ LINES = {
     None: (0, (1, 1.5)),
 }
 TAUT, SLACK = COLOURS[0], COLOURS[1]
-KINDS = ("first slack", "fold", "torus", "period doubling", "branch point")
 #: Moduli of interest: smaller ones are far inside the circle, larger ones far outside.
 SMALLEST, LARGEST = 0.3, 30.0
 
@@ -51,7 +50,7 @@ def family(followed: Family, label: str = "", law: str = "") -> Figure:
     decided = np.array([getattr(vertex, "deciding_modulus", 1.0) for vertex, _ in vertices])
     _draw(below, value, decided, looks)
     finish(below, label or followed.parameter, "modulus of the multipliers |ρ| [-]")
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(SPECIAL_KINDS):
         here = [k for k, (v, special) in enumerate(vertices) if special and v.kind == kind]
         for axes, ordinate in ((above, size), (below, np.ones(len(vertices)))):
             axes.plot(
@@ -122,7 +121,7 @@ def _handles(followed, looks):
     ]
     if any(slack for _, slack in looks):
         handles.append(Line2D([], [], color=SLACK, label="tethers go slack"))
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(SPECIAL_KINDS):
         if any(special.kind == kind for special in followed.special):
             handles.append(
                 Line2D(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
 #: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go
 #: slack.
-KINDS = ("fold", "branch point", "period doubling", "torus", "spin divergence", "first slack")
+SPECIAL_KINDS = ("fold", "branch point", "period doubling", "torus", "spin divergence", "first slack")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class SpecialPoint:
     Attributes
     ----------
     kind : str
-        One of `KINDS`.
+        One of `SPECIAL_KINDS`.
     parameter, uncertainty : float
         Middle and half the width of the bracket, whose ends were found different.
     spin_rate_ratio : float
