@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
 #: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go
 #: slack.
-SPECIAL_KINDS = ("fold", "branch point", "period doubling", "torus", "spin divergence", "first slack")
+SPECIAL_KINDS = (
+    "fold", "branch point", "period doubling", "torus", "spin divergence", "first slack"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,9 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Start; if not given `initial_state`, and where that leads to no motion that closes also
-        `averaged_state`, unless tethers go slack from both and that one closes no better.
+        Next to the motion that is meant; that of the formation's own family, which comes down from
+        fast spin without a break (`families.OwnFamily`), if not given. Without correction, and for
+        "frozen", the start itself, `initial_state` if not given.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -107,23 +108,29 @@ def compute_floquet(
         return _frozen(integrator, start, cancelled)
     if leading is None and system.n > MOST_BEADS:
         leading = LEADING
+    if leading is not None and not 1 <= leading < 6 * system.n:
+        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
     try:
         if leading is not None:
-            if not 1 <= leading < 6 * system.n:
-                raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
             return _leading(integrator, start, leading, correct, cancelled)
         if not correct:
             words = _origin(start)
             return _whole(integrator, start, words, math.nan, (certify, False), cancelled)
-        missed_by = _missed_by(integrator, start, cancelled)
-        motion, words = _search(integrator, state, cancelled)
-        if motion is None:
-            return _without_motion(method, system, spin, start, words, missed_by)
-        words = f"{words}, corrected from closure residual {missed_by:.1e}"
-        integrator = integrator.driven(motion.spin_loss)
-        return _whole(integrator, motion, words, missed_by, (certify, True), cancelled)
+        return _of_motion(integrator, start, state, certify, cancelled)
     except IntegrationError as error:
         return _without_motion(method, system, spin, start, str(error))
+
+
+def _of_motion(integrator, start, state, certify, cancelled):
+    """The result of the motion that is meant, found from a state or of the own family."""
+    system, spin = integrator.system, integrator.arrays.spin
+    missed_by = _missed_by(integrator, start, cancelled)
+    motion, words = _search(integrator, state, cancelled)
+    if motion is None:
+        return _without_motion("monodromy", system, spin, start, words, missed_by)
+    words = f"{words}, corrected from closure residual {missed_by:.1e}"
+    driven = integrator.driven(motion.spin_loss)
+    return _whole(driven, motion, words, missed_by, (certify, True), cancelled)
 
 
 def _missed_by(integrator, start, cancelled):
