@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import rcl_interfaces.msg
 import rclpy
-from numpy.typing import ArrayLike
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -67,8 +66,7 @@ def compute(
     overrides: Iterable[rcl_interfaces.msg.Parameter] = (),
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
-    start: tuple[ArrayLike, ArrayLike] = ((), ()),
-    **fields: int,
+    **fields: Any,
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
@@ -87,11 +85,8 @@ def compute(
         Called several times a second with the number of rates answered so far.
     patience_s : float
         How long to wait for the service to appear [s].
-    start : pair of array
-        Positions [m] and velocities [m/s], x, y, z of each bead in the orbit frame, next to the
-        motion that is meant; empty for the scenario's, or else the formation's own.
     **fields
-        Others of the request, e.g. `confirm_turns` and `mode_samples`.
+        Others of the request, e.g. `confirm_turns`, `mode_samples`, `position_m`.
 
     Returns
     -------
@@ -106,7 +101,6 @@ def compute(
     client = node.create_client(ComputeFloquet, service)
     executor = SingleThreadedExecutor(context=node.context)
     results = []
-    position_m, velocity_m_s = (np.ravel(array).astype(float).tolist() for array in start)
 
     def wait():
         rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
@@ -127,8 +121,6 @@ def compute(
                 spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
                 method=method,
                 overrides=list(overrides),
-                position_m=position_m,
-                velocity_m_s=velocity_m_s,
                 **fields,
             )
             answer = client.call_async(request)
@@ -216,6 +208,14 @@ def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
     )
 
 
+def _start(path):
+    """The fields of a request that say where to start, from a file; none if there is none."""
+    if not path:
+        return {}
+    arrays = (np.ravel(array).astype(float).tolist() for array in read_start_arrays(path))
+    return dict(zip(("position_m", "velocity_m_s"), arrays))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable `stability`.
 
@@ -241,7 +241,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.override,
             show,
             confirm_turns=options.confirm,
-            start=read_start_arrays(options.start) if options.start else ((), ()),
+            **_start(options.start),
             mode_samples=MODE_SAMPLES if options.mode_shape else 0,
         )
         if show:

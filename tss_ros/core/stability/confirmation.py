@@ -190,12 +190,9 @@ def confirm(
     _, nudged, *_ = run(disturbed(state, SMALL * size, seed))
     loud = np.flatnonzero(history > 0.1 * np.max(history))
     settled = loud[-1] + 1 < len(times) - SAMPLES // 2
+    near = max(from_centre, height) < LOST
     return Confirmation(
-        bool(
-            max(from_centre, height) < LOST
-            and abs(turned - 1.0) < ASTRAY
-            and shortest > COLLAPSED
-        ),
+        bool(near and abs(turned - 1.0) < ASTRAY and shortest > COLLAPSED),
         turned,
         shortest,
         float(times[loud[-1] + 1] / period) if settled else math.inf,
