@@ -18,14 +18,18 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
 from ament_index_python.packages import get_package_prefix
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 
 from tss_ros.bags.recording import read_bag
+from tss_ros.bags.verify import verify
 from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
 from tss_ros.review import review
@@ -116,6 +120,21 @@ def bag(directory, described, steps, count, names=STEP, on_million=None, **split
     return writer.message_count / (time.perf_counter() - begun)
 
 
+def checksums(path):
+    """Seconds that the checksums of a file take by themselves: of its chunks, and of its bytes."""
+    with path.open("rb") as stream:
+        chunks = [
+            get_chunk_data_stream(record)[0].read(record.uncompressed_size)
+            for record in StreamReader(stream, emit_chunks=True).records
+            if isinstance(record, Chunk)
+        ]
+    content = path.read_bytes()
+    begun = time.process_time()
+    for part in (content, *chunks):
+        zlib.crc32(part)
+    return time.process_time() - begun
+
+
 def nodes(folder):
     """What sim_node and logger_node say about a run as fast as the two together go."""
     programs = Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros"
@@ -173,9 +192,17 @@ def main():
 
         bag(folder / "long", described, steps, count, on_million=show, split_bytes=100_000_000)
         bag(folder / "large", described, steps, options.steps, names=STATES)
-        begun = time.perf_counter()
+        begun, begun_cpu = time.perf_counter(), time.process_time()
         recording = read_bag(folder / "large")
-        read_s = time.perf_counter() - begun
+        read_s, read_cpu_s = time.perf_counter() - begun, time.process_time() - begun_cpu
+        begun_cpu = time.process_time()
+        verify(folder / "large")
+        verify_cpu_s = time.process_time() - begun_cpu
+        tell(
+            f"{len(recording.step)} steps: read in {read_cpu_s:.2f} s of processor time, of which "
+            f"checksums take {checksums(folder / 'large' / 'large_0.mcap'):.2f} s; verified in "
+            f"{verify_cpu_s:.2f} s"
+        )
         begun = time.perf_counter()
         review.save(recording, folder / "large.rrd", "large")
         tell(
