@@ -15,7 +15,6 @@ from tss_ros.ros import diagnostics, frames, messages, parameters
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
-from tss_ros.scenarios.scenario import shipped
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.pacing import Pace
@@ -112,7 +111,8 @@ class SimNode(TssNode):
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
             scenario = options["scenario"]
-            if scenario not in (self._options["scenario"], *shipped()):
+            # Other names than those of shipped scenarios and YAML files are refused unread.
+            if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
                 inside(options["service_folder"], scenario, "scenario")
             parameters.build_system(*_system_of(options))
         except TssError as error:
