@@ -20,7 +20,7 @@ setup(
     maintainer_email="maintainers@users.noreply.h-seed-809a8e3e.example",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["tss_ros", "tss_ros.*"]),
-    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml"]},
+    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml", "ros/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/tss_ros"]),
         ("share/tss_ros", ["package.xml"]),
@@ -43,6 +43,7 @@ setup(
         "mcap>=1.6",
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",
+        "zstandard>=0.22",
         "matplotlib>=3.8.4",
         "markdown-it-py>=3.0",
         "pillow>=10",

@@ -104,7 +104,6 @@ def main():
     parser.add_argument("--limit", type=float, default=60.0, help="[s] for a solver on a case")
     parser.add_argument("--output", type=Path, default=ROOT / "runs" / "benchmarks", metavar="DIR")
     options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     python = peers_python()
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / "benchmarks.json"

@@ -56,7 +56,7 @@ def regimes(count):
     """A row of the first table for each regime."""
     print(
         "| formation | C [N s/m] | rates | ms per orbit: median | mean | largest | errors |"
-        " no periodic motion | slack | core hours for a million |"
+        " none found | slack | core hours for a million |"
     )
     print("|---|---:|---|" + 7 * "---:|")
     for name, damping, rates in REGIMES:
@@ -68,7 +68,7 @@ def regimes(count):
                 spent = np.array(manifest.execute("SELECT cpu_seconds FROM job").fetchall())
             rows = store.table("multipliers", ["verdict", "switches", "error"]).to_pylist()
             failed = store.failed
-        none = sum(row["verdict"] == "no periodic motion" for row in rows)
+        none = sum(row["verdict"] == "none found" for row in rows)
         slack = sum(bool(row["switches"]) for row in rows)
         mean = spent.mean()
         print(

@@ -11,7 +11,6 @@ with the same compression, but no counts, no metadata.yaml and no flushes to the
 
 import argparse
 import json
-import os
 import re
 import resource
 import signal
@@ -19,19 +18,24 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
 from ament_index_python.packages import get_package_prefix
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 
 from tss_ros.bags.recording import read_bag
+from tss_ros.bags.verify import verify
 from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
 from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.review import review
 from tss_ros.ros.messages import StepMessages, system_description
+from tss_ros.ros.network import stay_on_this_machine
 from tss_ros.ros.topics import read_topics
 
 RATE, POOL, FLUSH_PERIOD_S = -2.5, 1000, 0.25
@@ -118,6 +122,21 @@ def bag(directory, described, steps, count, names=STEP, on_million=None, **split
     return writer.message_count / (time.perf_counter() - begun)
 
 
+def checksums(path):
+    """Seconds that the checksums of a file take by themselves: of its chunks, and of its bytes."""
+    with path.open("rb") as stream:
+        chunks = [
+            get_chunk_data_stream(record)[0].read(record.uncompressed_size)
+            for record in StreamReader(stream, emit_chunks=True).records
+            if isinstance(record, Chunk)
+        ]
+    content = path.read_bytes()
+    begun = time.process_time()
+    for part in (content, *chunks):
+        zlib.crc32(part)
+    return time.process_time() - begun
+
+
 def nodes(folder):
     """What sim_node and logger_node say about a run as fast as the two together go."""
     programs = Path(get_package_prefix("tss_ros")) / "lib" / "tss_ros"
@@ -150,7 +169,7 @@ def main():
     parser.add_argument("--steps", type=int, default=1_000_000, help="of the bag that is opened")
     parser.add_argument("--millions", type=int, default=10, help="of messages, for the memory")
     options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     lines = []
 
     def tell(text):
@@ -175,9 +194,17 @@ def main():
 
         bag(folder / "long", described, steps, count, on_million=show, split_bytes=100_000_000)
         bag(folder / "large", described, steps, options.steps, names=STATES)
-        begun = time.perf_counter()
+        begun, begun_cpu = time.perf_counter(), time.process_time()
         recording = read_bag(folder / "large")
-        read_s = time.perf_counter() - begun
+        read_s, read_cpu_s = time.perf_counter() - begun, time.process_time() - begun_cpu
+        begun_cpu = time.process_time()
+        verify(folder / "large")
+        verify_cpu_s = time.process_time() - begun_cpu
+        tell(
+            f"{len(recording.step)} steps: read in {read_cpu_s:.2f} s of processor time, of which "
+            f"checksums take {checksums(folder / 'large' / 'large_0.mcap'):.2f} s; verified in "
+            f"{verify_cpu_s:.2f} s"
+        )
         begun = time.perf_counter()
         review.save(recording, folder / "large.rrd", "large")
         tell(

@@ -57,7 +57,7 @@ METHODS = ("monodromy", "frozen")
 jobs = [FloquetJob(system, rate, method) for method in METHODS for rate in RATES]
 modulus = np.full(len(jobs), np.nan)
 for i, outcome in sweep(jobs):
-    if outcome.verdict != "no periodic motion":
+    if outcome.verdict != "none found":
         modulus[i] = outcome.max_modulus
 true, frozen = modulus.reshape(2, -1)
 closed_form = np.array([tilt_growth(w) for w in RATES])

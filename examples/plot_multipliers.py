@@ -61,7 +61,7 @@ for damping in DAMPING_N_S_PER_M:
     damped = ring(damping_n_s_per_m=damping)
     largest[damping] = {name: np.full(len(RATES), np.nan) for name in FAMILIES}
     for i, outcome in sweep([FloquetJob(damped, rate) for rate in RATES]):
-        if outcome.verdict == "no periodic motion":
+        if outcome.verdict == "none found":
             continue
         for name in FAMILIES:
             moduli = [abs(m) for m, f in zip(outcome.multiplier, outcome.family) if f == name]

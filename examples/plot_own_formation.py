@@ -139,7 +139,7 @@ for found in critical:
 rates = np.linspace(-3.0, -1.8, 49)
 least_stretch_m = np.full((len(rates), 2), np.nan)
 for i, outcome in sweep([FloquetJob(system, rate) for rate in rates]):
-    if outcome.verdict != "no periodic motion" and not outcome.switches:
+    if outcome.verdict != "none found" and not outcome.switches:
         propagator = Propagator(system, rates[i], outcome.state)
         position_m, velocity_m_s = propagator.sample(np.linspace(0.0, propagator.period_s, 400))
         length_m, *_ = tether_state(system, position_m, velocity_m_s)

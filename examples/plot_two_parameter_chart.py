@@ -57,7 +57,7 @@ def closed_form(damping_n_s_per_m):
 # One verdict for every pair of damping and rate, then the critical rate for a few values of the
 # damping. :func:`~tss_ros.core.sweep` gives outcomes as they come, each with its job's index.
 
-CODES = {"asymptotically stable": 0, "neutral": 1, "unstable": 2, "no periodic motion": 3}
+CODES = {"asymptotically stable": 0, "neutral": 1, "unstable": 2, "none found": 3}
 dampings = np.linspace(0.0, 3000.0, 16)
 rates = np.linspace(-2.7, -1.9, 21)
 jobs = [FloquetJob(ring(damping_n_s_per_m=c), w) for c in dampings for w in rates]

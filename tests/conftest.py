@@ -6,6 +6,8 @@ import socket
 
 import pytest
 
+from tss_ros.ros.network import stay_on_this_machine
+
 
 def _reserve_domain_id():
     """Return a ROS domain ID that no other test run has, and the socket that keeps it reserved.
@@ -26,6 +28,7 @@ def _reserve_domain_id():
 DOMAIN_ID, _reservation = _reserve_domain_id()
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+stay_on_this_machine()
 
 import ros_harness  # noqa: E402, it starts ROS, which reads the environment
 

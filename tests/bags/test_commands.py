@@ -8,7 +8,7 @@ import pyarrow.parquet
 import pytest
 import ros_harness
 from ros_harness import START_S
-from tss_interfaces.msg import FloquetResult
+from tss_interfaces.msg import FloquetResult, Mode
 
 from tss_ros.bags import commands
 from tss_ros.bags.recording import Recording, read_bag
@@ -56,6 +56,21 @@ def run(tmp_path_factory):
             spin_rate_ratio=rate, max_modulus=modulus, verdict=verdict, tether_law="tension_only"
         )
         for rate, modulus, verdict in ((-2.0, 1.5, "unstable"), (-3.0, 1.0, "neutral"))
+    ]
+    results[0].deciding_family, results[0].deciding_modulus = "axis tilt", 1.5
+    turns = np.linspace(0.0, 1.0, 9)
+    shape = 1.5**turns[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 0.0, -1.0])
+    position = np.tile([0.0, 5e3, 0.0, 0.0, -5e3, 0.0], 9)
+    results[0].mode = [
+        Mode(
+            multiplier_real=1.5,
+            in_words="axis tilt",
+            tether_ends=[0, 1],
+            turns=turns.tolist(),
+            position_m=position.tolist(),
+            shape_real=shape.ravel().tolist(),
+            shape_imag=np.zeros(54).tolist(),
+        )
     ]
     recording = record(
         folder,
@@ -118,8 +133,10 @@ def test_summary_tells_what_happened(run, capsys):
 def test_plot_draws_the_standard_figures(run, tmp_path, capsys):
     folder, _ = run
     assert commands.plot([str(folder / "bag"), "--output", str(tmp_path)]) == 0
-    drawn = ("trajectories", "deviation", "tethers", "balance", "stability")
-    assert capsys.readouterr().out.splitlines() == [str(tmp_path / f"{n}.png") for n in drawn]
+    drawn = ("trajectories", "deviation", "tethers", "balance", "stability", "mode_-2")
+    files = [f"{name}.png" for name in drawn] + ["mode_-2.gif"]
+    assert capsys.readouterr().out.splitlines() == [str(tmp_path / name) for name in files]
+    assert (tmp_path / "mode_-2.gif").read_bytes().startswith(b"GIF89a")
     for name in drawn:
         assert (tmp_path / f"{name}.png").read_bytes().startswith(PNG)
 

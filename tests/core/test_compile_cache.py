@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 import tss_ros.core
+from tss_ros.core.numerics import loops
 
 ACCELERATION = """
 import numpy as np
@@ -45,3 +49,8 @@ def test_a_law_that_is_edited_is_compiled_anew_wherever_it_is_inlined(tmp_path):
     gravity = package / "core" / "model" / "laws" / "gravity.py"
     gravity.write_text(gravity.read_text().replace("(3.0 * height", "(30.0 * height"))
     assert found() == (30000, 0)
+
+
+def test_a_kernel_that_only_kernels_call_says_so():
+    with pytest.raises(TypeError, match="add can be called by compiled code only"):
+        loops.add(np.zeros((2, 2)), 1.0, np.ones((2, 2)))

@@ -33,13 +33,13 @@ from tss_ros.scenarios import scenario
     [
         (ring(), -2.5, 0),
         (ring(damping_n_s_per_m=100.0), -2.5, 5),
-        (ring(damping_n_s_per_m=100.0), -2.2, 10),
-        (ring(damping_n_s_per_m=1.0), -2.2, 10),
-        (ring(satellite_mass_kg=1000.0, beads_per_tether=1, bead_mass_kg=10.0), -1.8, 1),
+        (ring(), -2.14, 10),
+        (ring(damping_n_s_per_m=1.0), -2.569, 10),
+        (formation("chain", 3), -1.95, 1),
         (formation("hub_and_spoke", 4), -3.0, 0),
         (formation("chain", 3), -3.0, 0),
     ],
-    ids=["taut", "C 100", "C 100, slack", "C 1, slack", "six beads, slack", "hub", "chain"],
+    ids=["taut", "C 100", "slack", "C 1, slack", "chain, slack", "hub", "chain"],
 )
 def test_every_matrix_proves_itself_through_slack_too(system, w, fewest_switches):
     result = compute_floquet(system, w)
@@ -111,11 +111,12 @@ def test_symmetry_finds_motions_that_start_far_from_closing():
     assert result.verdict == "neutral"
 
 
-def test_chaos_is_a_verdict_and_bounded():
+def test_no_motion_is_a_verdict_that_says_what_was_tried():
     result = compute_floquet(ring(damping_n_s_per_m=1.0), -2.5)
-    assert result.verdict == "no periodic motion"
+    assert result.verdict == "none found"
     assert result.multiplier.size == 0 and result.family == ()
-    assert "chaotic" in result.message and "switches" in result.message
+    assert "own family: no motion was found next to that at -2.56" in result.message
+    assert "Eqs. 50-51" in result.message and "averaged gravity gradient" in result.message
     assert math.isnan(result.max_modulus)
 
 
@@ -134,7 +135,7 @@ def test_a_matrix_that_proves_chaotic_is_judged_with_infinite_error():
 
 def test_no_steady_configuration_is_a_verdict():
     result = compute_floquet(ring(axial_stiffness_n=1e-3, damping_n_s_per_m=0.1), -3.0)
-    assert result.verdict == "no periodic motion"
+    assert result.verdict == "none found"
     assert "no steady configuration" in result.message
 
 
@@ -142,11 +143,11 @@ def test_no_steady_configuration_is_a_verdict():
     "name, low, high, at, cause, stable_side",
     [
         ("four_star", -6.0, -5.0, None, None, None),
-        ("five_star", -4.3, -4.1, -4.2016, "axis tilt", -1),
-        ("six_star", -2.9, -2.7, -2.8141, "shape", -1),
-        ("hub_and_spoke", -2.9, -2.7, -2.8141, "shape", -1),
+        ("five_star", -4.3, -4.1, -4.2028, "axis tilt", -1),
+        ("six_star", -2.9, -2.7, -2.8141, "axis tilt", -1),
+        ("hub_and_spoke", -2.9, -2.7, -2.8141, "axis tilt", -1),
         ("chain", -4.35, -4.2, -4.2641, "shape", -1),
-        ("six_bead", -3.3, -3.15, -3.2453, "shape", -1),
+        ("six_bead", -3.22, -3.1, -3.1651, "shape", -1),
     ],
 )
 def test_critical_rates_of_other_formations_agree_with_simulations(

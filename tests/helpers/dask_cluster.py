@@ -38,7 +38,7 @@ class Cluster:
         return new
 
     def _dask(self, role, *arguments, **options):
-        local = ("--host", "127.0.0.1", "--no-dashboard")
+        local = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0", "--no-dashboard")
         return self._start(sys.executable, "-m", "dask", role, *arguments, *local, **options)
 
 

@@ -48,7 +48,8 @@ CHANGEABLE = {
     "j2": ([0, 1e-3], [-1.0, math.nan, "much"]),
     "scenario": (["three_star", "six_bead"], ["", "nine_star", "/dev/null", "../x.yaml", 5]),
 }
-FIXED = ("turns", "wait_for_recorder", "start_paused", "publish_clock", "frame_prefix")
+FIXED = ("turns", "wait_for_recorder", "recorder_patience_s", "start_paused", "service_folder")
+FIXED += ("publish_clock", "frame_prefix")
 NAMES = ("", "x" * 5000, "satellite_1", "satellite_2", "bead 1", "Ω", "'; DROP", "\n", "/", "a.npz")
 
 

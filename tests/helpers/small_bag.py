@@ -38,11 +38,11 @@ class Bag:
     def definition(self, topic):
         return topic.definition
 
-    def describe(self, spin_rate_ratio=-2.0):
+    def describe(self, spin_rate_ratio=-2.0, time_ns=0, **others):
         self.write(
             "system_description",
             SystemDescription(
-                header=Header(frame_id="orbit"),
+                header=Header(stamp=stamp(time_ns), frame_id="orbit"),
                 scenario="pair",
                 bead_name=["a", "bb"],
                 is_satellite=[True, False],
@@ -60,8 +60,9 @@ class Bag:
                 disturbance_m=0.5,
                 disturbance_seed=8,
                 publish_period_s=0.25,
+                **others,
             ),
-            0,
+            time_ns,
         )
 
     def step(self, number, with_beads=True, with_tether=True):

@@ -94,7 +94,7 @@ def test_every_verdict_has_a_marker_of_its_own():
     assert len(set(markers)) == len(markers) == len(VERDICT_STYLES)
 
 
-VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "no periodic motion"]
+VERDICTS = ["neutral", "unstable", "asymptotically stable", "", "none found"]
 RATES, MODULI = [-2.5, -1.5, -3.0, -2.0, -1.0], [1.001, 7.9, 1.0, np.nan, 40.0]
 
 
@@ -142,3 +142,29 @@ def test_figures_need_neither_screen_nor_pyplot(suffix):
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_a_mode_is_drawn_from_turn_to_turn_as_its_multiplier_says():
+    """A pair out of its plane, twice a turn, that grows by 1.4 a turn."""
+    turns = np.linspace(0.0, 1.0, 25)
+    place = np.tile([[0.0, 5e3, 0.0], [0.0, -5e3, 0.0]], (25, 1, 1))
+    wave = 1.4**turns * np.exp(4j * np.pi * turns)
+    shape = np.zeros((25, 2, 3), complex)
+    shape[:, 0, 2], shape[:, 1, 2] = wave, -wave
+    mode = plots.shown_mode(turns, place, shape, 1.4, [[0, 1]], "a title")
+    assert mode.above and mode.turns[-1] == 3.0
+    height = 1.4**mode.turns * np.cos(4 * np.pi * mode.turns)
+    np.testing.assert_allclose(mode.shift[:, 0, 2], 0.35 * height / height.max(), atol=1e-9)
+    figure = plots.mode_shape(mode)
+    formation, curves = figure.axes
+    drawn = [np.array(line.get_data()).T for line in curves.lines]
+    for i, curve in enumerate(drawn):
+        np.testing.assert_allclose(curve, np.stack([mode.turns, mode.shift[:, i, 2]], axis=1))
+    assert "height" in curves.get_ylabel() and "turns" in curves.get_xlabel()
+    assert figure.get_suptitle() == "a title"
+    assert len(formation.lines) > 5
+    inside = plots.shown_mode(turns, place, shape[..., [2, 0, 1]], 1.4, [[0, 1]], "in the plane")
+    assert not inside.above
+    assert "sideways" in plots.mode_shape(inside).axes[1].get_ylabel()
+    fast = plots.shown_mode(turns, place, shape, 50.0, [[0, 1]], "")
+    assert fast.turns[-1] == 1.0

@@ -115,6 +115,40 @@ def test_a_recording_ends_complete_before_the_disk_is_full(start, tmp_path, caps
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a file system")
+@pytest.mark.parametrize("left", [0, 100_000])
+def test_a_disk_that_is_filled_at_once_is_told_once_and_truly(start, tmp_path, left):
+    """To the last byte, or nearly: the recording ends as the one line says."""
+    with file_system(tmp_path / "disk", "size=40m") as disk:
+        logger = start("logger_node", output=str(disk / "bag"))
+        simulator = start("sim_node", time_scale=100, wait_for_recorder=True)
+        file = disk / "bag" / "bag_0.mcap"
+        ros_harness.wait_until(
+            lambda: file.exists() and file.stat().st_size > 50_000, ros_harness.START_S, "steps"
+        )
+        with contextlib.suppress(OSError), (disk / "filler").open("wb", buffering=0) as filler:
+            while filler.write(bytes(4096)):
+                pass
+        if left:
+            os.truncate(disk / "filler", (disk / "filler").stat().st_size - left)
+        assert logger.wait(ros_harness.START_S) == 1
+        assert simulator.stop() == 0
+        (said,) = [
+            line
+            for line in logger.stderr.splitlines()
+            if re.search(r"complete|cannot be written", line)
+        ]
+        (disk / "filler").unlink()
+        whole = (disk / "bag" / "metadata.yaml").exists()
+        assert whole == ("ends here, complete" in said), said
+        assert whole or "it ends incomplete, and `recover" in said
+        if not whole:
+            (account,) = recover.recover(disk / "bag")
+            assert "messages recovered" in account
+        assert len(serialised_messages(disk / "bag")) > 50
+        shutil.rmtree(disk / "bag")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a file system")
 def test_a_read_only_disk_is_refused(start, tmp_path):
     with file_system(tmp_path / "disk", "ro") as disk:
         logger = start("logger_node", output=str(disk / "bag"))

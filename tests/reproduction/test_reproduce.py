@@ -253,7 +253,7 @@ def made_up(item):
             "three_star_1000kg": {"damping": 1848.0},
         },
         "scan": [{"damping": 1451.0, "simulated": simulated}],
-        "six": [[1451.0, [[-2.82, "no periodic motion", -1]], -2.8]],
+        "six": [[1451.0, [[-2.82, "none found", -1]], -2.8]],
         "fates": {"figure_10_2.5": [[1.0, False, 9.0], [1451.0, True, 1.0]]},
     }[kind]
 

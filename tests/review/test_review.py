@@ -15,7 +15,7 @@ import rerun_cli
 from PIL import Image
 from rerun.chunk import RrdReader
 from ros_harness import wait_until
-from tss_interfaces.msg import FloquetResult
+from tss_interfaces.msg import FloquetResult, Mode
 
 from tss_ros.bags.recording import Recording
 from tss_ros.core import TssError
@@ -293,6 +293,8 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
         verdict="unstable",
         tether_law="kelvin_voigt",
         pushing_share=0.21,
+        deciding_family="axis tilt",
+        deciding_modulus=1.5,
     )
     other = dataclasses.replace(part(recording, slice(0, 7)), stability=(result,))
     review._save([recording, other], tmp_path / "x.rrd", ["long", "short"])
@@ -301,7 +303,9 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
         tethers = temporal[f"{root}/formation/tethers"]["LineStrips3D:strips"]
         np.testing.assert_allclose(tethers, recording.position_m[:steps][:, ENDS], atol=1e-3)
     ((text,),) = static["/run_2/stability"]["TextDocument:text"]
-    assert "| -2.25 | 1.500000 | 0.000000 | unstable | kelvin_voigt, taut tethers push 21 %" in text
+    law = "kelvin_voigt, taut tethers push 21 %"
+    row = f"| -2.25 | 1.500000 | axis tilt 1.500000 | unstable | {law}"
+    assert row in text
     assert "/run_1/stability" not in static
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
@@ -347,3 +351,36 @@ def test_the_page_for_browsers_is_served_to_this_machine_only():
         assert not answers("127.0.0.2", port)
     finally:
         server.close()
+
+
+def test_a_mode_moves_in_a_view_of_its_own(recording, tmp_path):
+    """Its beads leave their places by the shape, for the eye at most by a third of the radius."""
+    turns = np.linspace(0.0, 1.0, 13)
+    place = np.tile([[0.0, 6e3, 0.0], [-5e3, -3e3, 0.0], [5e3, -3e3, 0.0]], (13, 1, 1))
+    shape = 1.2 ** turns[:, None, None] * np.array([[0, 0, 1.0], [0, 0, -0.5], [0, 0, -0.5]])
+    mode = Mode(
+        multiplier_real=1.2,
+        in_words="axis tilt (k = 1)",
+        tether_ends=[0, 1, 1, 2, 2, 0],
+        turns=turns.tolist(),
+        position_m=place.ravel().tolist(),
+        shape_real=shape.ravel().tolist(),
+        shape_imag=np.zeros(shape.size).tolist(),
+    )
+    result = FloquetResult(spin_rate_ratio=-2.25, verdict="unstable", mode=[mode])
+    shown = dataclasses.replace(part(recording, slice(0, 7)), stability=(result,))
+    review.save(shown, tmp_path / "x.rrd", "made up")
+    temporal, static = read_back(tmp_path / "x.rrd")
+    beads = np.array(temporal["/mode/beads"]["Points3D:positions"])
+    size = np.max(np.linalg.norm(shown.position_m[-1], axis=-1))
+    height = beads[:, :, 2] / size
+    assert beads.shape == (37, 3, 3)  # three turns
+    np.testing.assert_allclose(height[:, 1] / height[:, 0], -0.5, rtol=1e-5)
+    assert height[24, 0] / height[0, 0] == pytest.approx(1.2**2, rel=1e-5)
+    assert height.max() == pytest.approx(0.35, rel=1e-5)
+    tethers = np.array(temporal["/mode/tethers"]["LineStrips3D:strips"])
+    np.testing.assert_allclose(tethers[:, 0, 1], beads[:, 1])
+    assert len(static["/mode/undisturbed"]["LineStrips3D:strips"][0]) == 3
+    (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
+    views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
+    assert len([v for v in views if v.startswith("/view/")]) == 6 + 2

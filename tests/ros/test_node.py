@@ -54,11 +54,11 @@ def test_killed_nodes_are_not_missed_and_can_come_back(start, client, tmp_path):
 
     def records():
         def newest():
-            return max(tmp_path.glob("bag*/*.mcap"), key=lambda file: file.parent.name)
+            last = max(tmp_path.glob("bag*"), key=lambda bag: bag.name)
+            return sum(file.stat().st_size for file in last.glob("*.mcap"))
 
-        file = ros_harness.wait_until(newest, ros_harness.START_S, "a bag")
-        size = file.stat().st_size
-        spin_until(lambda: file.stat().st_size > size, ros_harness.START_S, "more in the bag")
+        size = ros_harness.wait_until(newest, ros_harness.START_S, "a bag")
+        spin_until(lambda: newest() > size, ros_harness.START_S, "more in the bag")
 
     works = {"sim_node": simulates, "stability_node": computes, "logger_node": records}
     for work in works.values():

@@ -5,7 +5,13 @@ from pathlib import Path
 import pytest
 import ros_harness
 from ament_index_python.packages import get_package_share_directory
-from tss_interfaces.msg import CriticalRate, FloquetResult, SimulationEvent
+from tss_interfaces.msg import (
+    CriticalRate,
+    FloquetResult,
+    Mode,
+    SimulationEvent,
+    SpecialPoint,
+)
 from tss_interfaces.srv import StepSimulation
 
 from tss_ros import core
@@ -77,6 +83,8 @@ def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expe
         (FloquetResult, "VERDICT", core.VERDICTS),
         (FloquetResult, "FAMILY", core.FAMILIES),
         (CriticalRate, "CAUSE", core.CAUSES),
+        (SpecialPoint, "KIND", core.SPECIAL_KINDS),
+        (Mode, "DIRECTION", core.DIRECTIONS),
         (SimulationEvent, "KIND", ("reset", "restore", "disturb")),
     ],
 )

@@ -16,11 +16,11 @@ WINDOW = 10
 class Run:
     """A flow control whose simulator publishes as fast as it may, in a thread."""
 
-    def __init__(self):
+    def __init__(self, patience_s=60.0):
         self.warnings = []
         self._wake = threading.Event()
         logger = SimpleNamespace(warning=self.warnings.append)
-        self.flow = FlowControl(WINDOW, logger, self._wake.set)
+        self.flow = FlowControl(WINDOW, logger, self._wake.set, patience_s)
         self.stopped, self.ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._publish, daemon=True)
 
@@ -55,8 +55,8 @@ class Run:
 
 
 @pytest.fixture
-def run():
-    run = Run()
+def run(request):
+    run = Run(*getattr(request, "param", ()))
     yield run
     run.stopped.set()
     if run._thread.is_alive():
@@ -102,7 +102,7 @@ def test_a_recorder_that_gets_nothing_holds_it_only_for_a_while(run, monkeypatch
     run.start(100_000)
     while not run.ended.wait(0.02):
         run.report(-1)
-    assert not run.warnings
+    assert len(run.warnings) == 1 and "'a' reports, but has got none" in run.warnings[0]
 
 
 def test_a_silent_recorder_is_given_up(run, monkeypatch):
@@ -143,3 +143,41 @@ def test_drained_means_that_every_recorder_has_everything(run, monkeypatch):
     assert not run.flow.ready(drain=True)
     monkeypatch.setattr(backpressure, "JOIN_S", 0.0)
     assert run.flow.ready(drain=True)
+
+
+@pytest.mark.parametrize("run", [(0.5,)], indirect=True)
+def test_whoever_reports_no_progress_holds_it_only_for_a_while(run):
+    """A recorder that hangs, or a stranger that only says it records."""
+    run.flow.published = 0
+    run.report(0)
+    begun = time.monotonic()
+    run.start(100)
+    while not run.ended.wait(0.02):
+        run.report(0)
+        assert time.monotonic() - begun < 10
+    assert time.monotonic() - begun > 0.4
+    assert len(run.warnings) == 1 and "'a' has been at step 0 for 0.5 s" in run.warnings[0]
+
+
+@pytest.mark.parametrize("run", [(0.5,)], indirect=True)
+def test_a_recorder_that_gets_further_is_waited_for_however_long(run):
+    run.flow.published = 0
+    run.report(0)
+    run.start(100)
+    for step in range(0, 100, WINDOW):
+        run.report(step)
+        assert run.stays_at(min(step + WINDOW, 100)) or step + WINDOW >= 100
+    assert run.ended.wait(5) and not run.warnings
+
+
+@pytest.mark.parametrize("run", [(0.0,)], indirect=True)
+def test_without_patience_nobody_holds_it(run):
+    run.report(0)
+    run.start(100_000)
+    assert run.ended.wait(10) and not run.warnings
+
+
+def test_many_strangers_cost_no_memory(run):
+    for number in range(10_000):
+        run.report(0, output=str(number))
+    assert len(run.flow.recorders) == backpressure.MOST_RECORDERS

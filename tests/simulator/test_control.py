@@ -1,5 +1,7 @@
 """Control of a running simulator over the middleware: state, steps, resets, disturbances, time."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import ros_harness
@@ -17,6 +19,7 @@ from tss_interfaces.srv import (
     StepSimulation,
 )
 
+import tss_ros
 from tss_ros.core import LAW_PARAMETERS, Propagator, State, ring
 from tss_ros.simulator.control import Code, PlayState
 
@@ -314,11 +317,47 @@ def test_a_restored_run_continues_bit_for_bit(paused):
     )
     simulator = ros_harness.Simulator(paused.node, paused.spin_until, "/other")
     simulator.join()
-    simulator.do(RestoreSnapshot, file=str(paused.directory / "exact.npz"))
+    simulator.do(RestoreSnapshot, file="exact.npz")
     simulator.do(StepSimulation, steps=400)
     simulator.settled()
     assert [motion(m) for m in simulator.beads[-401:]] == [motion(m) for m in original]
     assert other.stop() == 0
+
+
+def test_services_reach_only_the_folder_of_their_own(paused):
+    """Neither a path outside nor a link that leads there is written, read or told of."""
+    folder, secret = paused.directory / "service_files", paused.directory / "secret.yaml"
+    paused.do(SaveSnapshot, file="mine.npz")
+    secret.write_text("password: hunter2")
+    (folder / "link").symlink_to(paused.directory)
+    (folder / "dangling.npz").symlink_to(paused.directory / "new.npz")
+    outside = ("../new.npz", str(paused.directory / "new.npz"), "link/new.npz", "dangling.npz")
+    for file in outside:
+        for kind in (SaveSnapshot, RestoreSnapshot):
+            code, why = paused.refused(kind, file=file)
+            assert code == Result.RESULT_OPERATION_FAILED
+            assert f"allowed: files in '{folder}', the node's service_folder" in why
+    assert "File name too long" in paused.refused(SaveSnapshot, file="a" * 5000 + ".npz")[1]
+    assert not (paused.directory / "new.npz").exists()
+    for scenario in (str(secret), "secret.yaml", "service_files/link/secret.yaml"):
+        answer = paused.set(scenario=scenario)
+        assert not answer.successful and "the node's service_folder" in answer.reason
+        assert "hunter2" not in answer.reason
+    shipped = Path(tss_ros.__file__).parent / "scenarios" / "four_star.yaml"
+    (folder / "own.yaml").write_text(shipped.read_text())
+    assert paused.set(scenario="service_files/own.yaml").successful
+    assert paused.set(scenario="six_star").successful
+
+
+def test_the_folder_is_the_users_choice(start, tmp_path):
+    process = start(
+        "sim_node", "-r", "__ns:=/free", start_paused=True, publish_clock=False, service_folder="/"
+    )
+    with ros_harness.client_node() as client:
+        simulator = ros_harness.Simulator(*client, "/free")
+        simulator.do(SaveSnapshot, file=str(tmp_path / "anywhere.npz"))
+        simulator.do(RestoreSnapshot, file=str(tmp_path / "anywhere.npz"))
+    assert process.stop() == 0
 
 
 def test_a_snapshot_of_another_law_is_refused(paused):
@@ -354,11 +393,11 @@ def test_snapshots_that_do_not_fit_are_refused(paused):
     assert "allowed: a path that ends in .npz" in paused.refused(SaveSnapshot, file="a.txt")[1]
     assert "No such file" in paused.refused(SaveSnapshot, file="no/where.npz")[1]
     assert paused.refused(RestoreSnapshot, file="b.npz")[0] == Result.RESULT_NOT_FOUND
-    whole = (paused.directory / "a.npz").read_bytes()
+    whole = (paused.directory / "service_files" / "a.npz").read_bytes()
     for name, content in (("cut", whole[: len(whole) // 2]), ("empty", b""), ("text", b"hello")):
-        (paused.directory / f"{name}.npz").write_bytes(content)
+        (paused.directory / "service_files" / f"{name}.npz").write_bytes(content)
         assert "cannot be read" in paused.refused(RestoreSnapshot, file=f"{name}.npz")[1]
-    arrays = dict(np.load(paused.directory / "a.npz"))
+    arrays = dict(np.load(paused.directory / "service_files" / "a.npz"))
     for name, value, expected in (
         ("integrator_position_m", np.full((3, 3), np.nan), "damaged"),
         ("integrator_velocity_m_s", arrays["integrator_velocity_m_s"][:1], "damaged"),
@@ -366,7 +405,7 @@ def test_snapshots_that_do_not_fit_are_refused(paused):
         ("place_base_ns", np.array(2**62), "allowed: 0 to 2^31"),
         ("setup_mass_kg", 2 * arrays["setup_mass_kg"], "another mass_kg"),
     ):
-        np.savez(paused.directory / f"bad_{name}.npz", **{**arrays, name: value})
+        np.savez(paused.directory / "service_files" / f"bad_{name}.npz", **{**arrays, name: value})
         assert expected in paused.refused(RestoreSnapshot, file=f"bad_{name}.npz")[1]
     assert paused.set(publish_period_s=7).successful
     paused.do(ResetSimulation)

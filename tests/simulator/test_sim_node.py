@@ -208,6 +208,8 @@ def test_parameters_are_described_and_changed_or_refused_with_a_reason(start, cl
     assert fixed == {
         "turns",
         "wait_for_recorder",
+        "recorder_patience_s",
+        "service_folder",
         "start_paused",
         "publish_clock",
         "publish_tf",

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from PIL import Image
 from ros_harness import START_S, Process, client_node, processes
 
 from tss_ros.core import TssError
@@ -34,7 +35,7 @@ def ask(stability_node, capsys):
 def columns(table):
     """The cells of each row of a table, cut at the column edges of its heading."""
     heading, *rows = table.splitlines()
-    names = ("verdict", "tether law", "closure", "message")
+    names = ("decided by", "verdict", "tether law", "closure", "message")
     edges = [heading.index(name) for name in names]
     numbers = [row[: edges[0]].split() for row in rows]
     words = [[row[a:b].strip() for a, b in zip(edges, (*edges[1:], None))] for row in rows]
@@ -55,8 +56,10 @@ def test_table_has_a_row_for_each_rate_in_order(stability_node, tmp_path):
     assert all(row[5].split()[0] == "kelvin_voigt" for row in rows)
     pushed = [float(row[5].split()[1].rstrip("%")) for row in rows]
     assert 20.0 < pushed[0] < 60.0 and pushed[1:] == [0.0, 0.0]
-    assert rows[0][4] in ("unstable", "no periodic motion") and float(rows[0][2]) > 2
-    assert all(row[4].endswith("stable") and float(row[3]) < 1.0001 for row in rows[1:])
+    assert rows[0][4] in ("unstable", "none found")
+    for row in rows[1:]:
+        family, modulus = row[3].split()
+        assert row[4].endswith("stable") and family == "shape" and float(modulus) < 1.0
 
 
 def test_range_csv_and_plot(ask, tmp_path):
@@ -73,9 +76,28 @@ def test_range_csv_and_plot(ask, tmp_path):
     for row, shown in zip(rows, columns(out)):
         assert float(row["max_modulus"]) == pytest.approx(float(shown[2]), abs=1e-6)
         assert row["verdict"] == shown[4]
+        assert f"{row['deciding_family']} {float(row['deciding_modulus']):.6f}" == shown[3]
         assert row["tether_law"] == "kelvin_voigt"
         assert f"{float(row['pushing_share']):.1%}" == shown[5].split()[1]
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
+
+
+def test_the_mode_that_decided_is_drawn_and_animated(ask, tmp_path):
+    """A hexagon's tilt meets its wave k = 3 at -2.8: the picture is of that mode."""
+    hexagon = ("-2.8", "--override", "satellites=6")
+    for name in ("mode.png", "mode.gif"):
+        status, out, err = ask(*hexagon, "--mode-shape", tmp_path / name)
+        assert status == 0, err
+        assert columns(out)[0][3].startswith("axis tilt 1.1") and columns(out)[0][4] == "unstable"
+    assert (tmp_path / "mode.png").read_bytes().startswith(PNG)
+    with Image.open(tmp_path / "mode.gif") as moving:
+        assert moving.n_frames > 20
+        first = np.asarray(moving.convert("RGB"), dtype=int)
+        moving.seek(moving.n_frames // 2)
+        assert np.abs(np.asarray(moving.convert("RGB")) - first).max() > 100
+    status, _, err = ask("0", "--mode-shape", tmp_path / "none.png")
+    assert status == 1 and "no multiplier decided at 0" in err
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_overrides_and_method_reach_the_node(ask):
@@ -127,6 +149,7 @@ def test_a_rate_that_fails_leaves_the_others_their_results(ask):
         [],
         ["fast"],
         ["--from", "-2"],
+        ["-2", "-3", "--mode-shape", "x.png"],
         ["--from", "-2", "--to", "-3", "--count", "0"],
         ["-2", "--override", "satellite_mass_kg"],
         ["-2", "--override", "satellite_mass_kg=heavy"],

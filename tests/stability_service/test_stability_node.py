@@ -142,7 +142,7 @@ def test_a_simulation_confirms_the_verdicts(asked):
     stable, lost, tilted = *response.results, *tilting.results
     assert stable.verdict == "asymptotically stable" and stable.confirmation[0].held
     assert stable.confirmation[0].turns_to_settle < 12
-    assert lost.verdict in ("unstable", "no periodic motion") and not lost.confirmation[0].held
+    assert lost.verdict in ("unstable", "none found") and not lost.confirmation[0].held
     assert tilted.verdict == "unstable" and tilted.max_modulus_nontrivial > 1.05
     for result in (stable, tilted):
         growth = result.confirmation[0].growth_per_turn
@@ -153,6 +153,25 @@ def test_a_simulation_confirms_the_verdicts(asked):
     assert str(other.results[0].confirmation) != str(stable.confirmation)
     frozen = compute(asked, [-2.5], "frozen", fields)
     assert "confirm_turns has no effect" in frozen.message and not frozen.results[0].confirmation
+
+
+def test_the_mode_that_decided_comes_with_its_motion_if_asked_for(asked):
+    """Over a turn a mode is multiplied by its multiplier, whatever it does meanwhile."""
+    fields = {"mode_samples": 12}
+    (result,) = compute(asked, [-2.8], fields=fields, satellites=integer(6)).results
+    (mode,) = result.mode
+    rho = complex(mode.multiplier_real, mode.multiplier_imag)
+    assert abs(rho) == pytest.approx(result.deciding_modulus) and abs(rho) > 1.05
+    assert (mode.family, mode.direction, mode.wave_number) == ("axis tilt", "out of plane", 1)
+    assert mode.resonance.endswith("frequencies add up to twice the spin")
+    shape = np.array(mode.shape_real) + 1j * np.array(mode.shape_imag)
+    shape = shape.reshape(13, 6, 3)
+    np.testing.assert_allclose(shape[-1], rho * shape[0], atol=1e-6)
+    position = np.reshape(mode.position_m, (13, 6, 3))
+    assert np.abs(position - position[0]).max() < 0.2 * np.abs(position).max()
+    assert len(mode.tether_ends) == 12
+    (plain,) = compute(asked, [-2.5]).results
+    assert not plain.mode
 
 
 @pytest.mark.parametrize(

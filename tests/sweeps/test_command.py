@@ -44,7 +44,7 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
 def test_the_tether_law_is_varied_and_named(tmp_path):
     done = run(
         "three_star", "--parameter", "tether_law", "--values", "kelvin_voigt", "tension_only",
-        "--rates", "-2.4", "-2.4", "1", "--critical", "-2.22", "-2.12", "--tolerance", "0.01",
+        "--rates", "-2.55", "-2.55", "1", "--critical", "-2.22", "-2.12", "--tolerance", "0.01",
         "--output", str(tmp_path),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -49,6 +49,8 @@ class Layout:
     """
 
     def __init__(self, definition: str, data: bytes) -> None:
+        if len(data) < 4 or data[0] or data[1] > 1:
+            raise TssError(f"a message begins with {data[:4].hex()}, which is no plain CDR")
         self._order, self._at = _byte_order(data), 4
         self._names, self._formats, self._offsets = [], [], []
         self._shape = np.zeros(len(data), dtype=bool)  # the bytes of texts and lengths
@@ -68,6 +70,11 @@ class Layout:
                 "itemsize": self._at,
             }
         )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The fields that are numbers."""
+        return tuple(self._names)
 
     def fits(self, rows: np.ndarray) -> np.ndarray:
         """Which messages of `rows`, (k, bytes), have these texts and lengths; (k,) of bool."""
@@ -111,8 +118,10 @@ class Layout:
 def _fields(definition):
     """(type, name) of each field of a type's own definition, headers written out."""
     root = definition.split("=" * 80)[0]
-    lines = (line.partition("#")[0].split() for line in root.splitlines())
-    for kind, name in (line[:2] for line in lines if len(line) >= 2 and "=" not in line[1]):
+    lines = (line.partition("#")[0].split(maxsplit=2) for line in root.splitlines())
+    for kind, name, *more in (line for line in lines if len(line) >= 2):
+        if "=" in name or (more and more[0].startswith("=")):
+            continue  # a constant
         if kind == "std_msgs/Header":
             yield from _HEADER
         else:

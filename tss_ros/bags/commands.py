@@ -1,6 +1,7 @@
 """What a bag says, as text, figures and tables: executables `summary`, `plot` and `export`."""
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +13,10 @@ import pyarrow.parquet
 import yaml
 
 from tss_ros import plots
-from tss_ros.bags.recording import Recording, read_bag
+from tss_ros.bags.recording import Recording, damage_in_words, read_bag
+from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser
-from tss_ros.core import TssError
+from tss_ros.core import TssError, in_words
 from tss_ros.scenarios.laws import law_in_words, laws_in_words
 from tss_ros.scenarios.scenario import read_text
 
@@ -50,10 +52,6 @@ def describe(recording: Recording) -> str:
     """
     r, turns = recording, recording.turns
     gaps = int((np.diff(r.step) - 1).sum())
-    from_centre = np.abs(r.deviation_from_centre).max(axis=1)
-    worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
-    slack = ~r.taut
-    energy, centre_m = r.energy_j, r.centre_of_mass_m
     lost = "not said" if r.lost is None else r.lost
     lines = [
         f"scenario      {r.scenario}: {r.is_satellite.sum()} satellites, {len(r.bead_name)} beads "
@@ -62,10 +60,44 @@ def describe(recording: Recording) -> str:
         f"spin          {r.spin_rate_ratio:g} Omega, one turn {r.turn_s:.1f} s",
         f"tether law    {law_in_words(r.tether_law, r.pushing_share)}",
         f"disturbance   {r.disturbance_m:g} m, seed {r.disturbance_seed}",
-        f"run           {r.run} of {r.runs} in the bag",
+        f"run           {r.run} of {r.runs} in the bag"
+        + (f", topics {r.prefix}*" if r.prefix != "/" else ""),
         f"steps         {len(r.step)}, {r.step[0]} to {r.step[-1]}, {gaps} missing in between; "
         f"messages lost: {lost}",
         f"time          {r.t_s[0]:g} to {r.t_s[-1]:g} s, {turns[0]:.2f} to {turns[-1]:.2f} turns",
+    ]
+    if not (finite := r.is_finite).all():
+        lines.append(
+            f"not finite    {(~finite).sum()} steps, the first is {r.step[~finite][0]}; what "
+            "follows is of the others"
+        )
+    if finite.any():
+        lines += _of_motion(r.only(finite))
+    for result in r.stability:
+        verdict = result.verdict or result.message
+        decided = (result.deciding_family, result.deciding_modulus, math.nan)
+        by = f"by {words}, " if (words := in_words(*decided)) else ""
+        lines.append(
+            f"stability     {result.spin_rate_ratio:g} Omega: {verdict}, "
+            f"{by}max |rho| {result.max_modulus:.6f}, "
+            f"{law_in_words(result.tether_law, result.pushing_share)}"
+        )
+    for law in (r.system.law, *r.system.acting_laws):
+        if law.parameters:
+            values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
+            lines.append(f"law           {law.name}: {', '.join(values)}")
+    if r.versions:
+        lines.append(f"simulated by  {', '.join(r.versions)}")
+    return "\n".join(map(one_line, lines))
+
+
+def _of_motion(r):
+    """Lines about steps whose numbers are all finite."""
+    turns, slack = r.turns, ~r.taut
+    from_centre = np.abs(r.deviation_from_centre).max(axis=1)
+    worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
+    energy, centre_m = r.energy_j, r.centre_of_mass_m
+    return [
         f"deviation     at most {np.abs(r.deviation).max():.3g} ({r.bead_name[worst[1]]}, turn "
         f"{turns[worst[0]]:.2f}); from the centre of mass {from_centre.max():.3g}, "
         f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last turn",
@@ -75,20 +107,6 @@ def describe(recording: Recording) -> str:
         f"energy        {energy[0]:.6g} to {energy[-1]:.6g} J",
         f"mass centre   moved by at most {np.ptp(centre_m, axis=0).max():.3g} m along an axis",
     ]
-    for result in r.stability:
-        verdict = result.verdict or result.message
-        lines.append(
-            f"stability     {result.spin_rate_ratio:g} Omega: {verdict}, "
-            f"max |rho| {result.max_modulus:.6f}, "
-            f"{law_in_words(result.tether_law, result.pushing_share)}"
-        )
-    for law in (r.system.law, *r.system.acting_laws):
-        if law.parameters:
-            values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
-            lines.append(f"law           {law.name}: {', '.join(values)}")
-    if r.versions:
-        lines.append(f"simulated by  {', '.join(r.versions)}")
-    return "\n".join(lines)
 
 
 def _run(name, description, argv, act, add_options=lambda parser: None):
@@ -98,14 +116,39 @@ def _run(name, description, argv, act, add_options=lambda parser: None):
     add_options(parser)
     options = parser.parse_args(argv)
     try:
-        act(read_bag(options.bag, options.run), options)
+        recording = read_bag(options.bag, options.run, damaged=True)
+        with np.errstate(all="ignore"):  # numbers that are not finite are named
+            act(recording, options)
     except TssError as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        print(f"{name}: {one_line(error)}", file=sys.stderr)
         return 1
     except OSError as error:
         print(f"{name}: {error.filename!r} cannot be written: {error.strerror}", file=sys.stderr)
         return 1
-    return 0
+    return told_of_damage(name, options.bag, recording)
+
+
+def told_of_damage(name: str, bag: Path, recording: Recording) -> int:
+    """The exit status of a command that has read what is intact; if not all was, says so.
+
+    Parameters
+    ----------
+    name : str
+        Of the command.
+    bag : Path
+    recording : tss_ros.bags.recording.Recording
+
+    Returns
+    -------
+    int
+    """
+    if recording.damage:
+        damage = damage_in_words(recording.damage)
+        print(
+            f"{name}: {str(bag)!r} is damaged, and this is the rest; {one_line(damage)}",
+            file=sys.stderr,
+        )
+    return 1 if recording.damage else 0
 
 
 def _plot_options(parser):
@@ -136,9 +179,18 @@ def _plot(r, options):
             law=laws_in_words((result.tether_law, result.pushing_share) for result in r.stability),
         )
     options.output.mkdir(parents=True, exist_ok=True)
+    modes = {
+        f"mode_{result.spin_rate_ratio:g}": plots.mode_of(result)
+        for result in r.stability if result.mode
+    }  # fmt: skip
+    figures |= {name: plots.mode_shape(mode) for name, mode in modes.items()}
     for name, figure in figures.items():
         path = options.output / f"{name}.{options.format}"
         figure.savefig(path)
+        print(path)
+    for name, mode in modes.items():
+        path = options.output / f"{name}.gif"
+        plots.save_mode_animation(mode, path)
         print(path)
 
 
@@ -216,7 +268,7 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
     }
     if r.stability:
         names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
-        names += ("tether_law", "pushing_share", "message")
+        names += ("deciding_modulus", "deciding_family", "tether_law", "pushing_share", "message")
         found["stability"] = pa.table({n: [getattr(s, n) for s in r.stability] for n in names})
     return found
 

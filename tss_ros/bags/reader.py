@@ -1,223 +1,358 @@
 """The messages of a bag in bulk: a million steps in the time the disk and numpy take."""
 
 import contextlib
-import os
-import re
-import struct
+import functools
+import io
+import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
+from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from tss_ros.bags.cdr import Layout
-from tss_ros.bags.writer import NOTES
-from tss_ros.core import TssError
+from tss_ros.bags.directory import METADATA, find_files
+from tss_ros.bags.mcap_file import McapFile
+from tss_ros.bags.metadata import NOTES
+from tss_ros.bags.records import DAMAGE, MESSAGE_HEAD, BagError, Batch, Damage
 
 STATES = ("BeadStates", "TetherStates")
-OTHERS = ("SystemDescription", "FloquetResult")
-#: What the libraries raise at damaged data.
-DAMAGE = (McapError, ValueError, RuntimeError, struct.error)
-#: Beginning and end marks with a header and a footer between them.
-MIN_FILE_BYTES = 64
-#: What precedes the data of a message record in a chunk of an MCAP file.
-_MESSAGE_HEAD = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
-    + [("log_time", "<u8"), ("publish_time", "<u8")]
-)
-_RECORD_HEAD_BYTES = 9  # of opcode and length, which the length does not count
+#: Types that are read, and the topics that have them unless they are remapped.
+TOPICS = {
+    "SystemDescription": "system_description",
+    "BeadStates": "bead_states",
+    "TetherStates": "tether_states",
+    "FloquetResult": "stability_results",
+}
+#: Numbers that states have.
+_FIELDS = {
+    "BeadStates": ("position_m", "velocity_m_s", "deviation"),
+    "TetherStates": ("length_m", "tension_n", "taut"),
+}
+FIELDS = {name: ("step", "stamp.sec", "stamp.nanosec", *more) for name, more in _FIELDS.items()}
+#: Most changes of texts and lengths among the messages of a topic; more would take for ever.
+MAX_LAYOUTS = 10_000
+#: Most bytes and types of a schema, which is decoded type by type.
+MAX_SCHEMA_BYTES = 2**20
 
 
-def bag_files(path: str | Path) -> list[Path]:
-    """The .mcap files of a bag in the order of recording.
+@dataclass
+class Simulator:
+    """What a bag holds of one simulator: the topics that one prefix has.
+
+    Attributes
+    ----------
+    prefix : str
+        What its topics begin with, mostly its namespace.
+    blocks : dict of str to list
+        By type of states: schema and serialised messages, (k, bytes).
+    descriptions : list of tuple of int and message
+        The messages SystemDescription, and how many bead states were before each of them.
+    bead_count : int
+        Bead states so far.
+    is_known : bool
+        Whether the description of the run that is being read may be the newest one; not behind
+        damage that took one with it.
+    dropped : int
+        States that belong to runs whose description is lost.
+    seen : set of tuple
+        Number, times and data of the descriptions.
+    """
+
+    prefix: str
+    blocks: dict[str, list] = field(default_factory=lambda: {name: [] for name in STATES})
+    descriptions: list = field(default_factory=list)
+    bead_count: int = 0
+    is_known: bool = True
+    dropped: int = 0
+    seen: set = field(default_factory=set)
+
+    def describe(self, before: int, place: tuple, message: Any) -> None:
+        """Take a description, unless it was taken."""
+        if place not in self.seen:
+            self.seen.add(place)
+            self.descriptions.append((before, message))
+        self.is_known = True
+
+
+class BagContent:
+    """What a bag's files hold.
 
     Parameters
     ----------
     path : str or Path
         Bag directory or .mcap file.
 
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    TssError
-        If there is none.
-    """
-    path = Path(path)
-    files = list(path.glob("*.mcap")) if path.is_dir() else [path]
-    if not files:
-        raise TssError(f"{str(path)!r} holds no .mcap file")
-    return sorted(files, key=lambda f: [int(n) for n in re.findall(r"_(\d+)\.mcap$", f.name)])
-
-
-@contextlib.contextmanager
-def open_complete(file: Path) -> Iterator[BinaryIO]:
-    """Open an MCAP file to be read, for a `with` block that needs it complete.
-
-    Parameters
+    Attributes
     ----------
-    file : Path
-
-    Yields
-    ------
-    file object
+    simulators : dict of str to Simulator
+        By prefix.
+    results : list of messages FloquetResult
+    lost : int or None
+        Messages that the recorder, or `recover`, knew to be lost.
+    damage : list of Damage
 
     Raises
     ------
-    TssError
-        If it cannot be read, or if the block finds it damaged.
+    BagError
+        If there is no bag, or what it says cannot be.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.shown = str(path)
+        self.simulators, self.results, self.lost = {}, [], None
+        self._is_gapless = True
+        files = find_files(path)
+        self.damage = files.damage
+        for i, place in enumerate(files.paths):
+            if i in files.gaps:
+                self._know_nothing()
+            with McapFile(place) as file:
+                count = self._read(file)
+                self.damage += file.damage
+                told = files.counted(place)
+                if not file.damage and told not in (None, count):
+                    reason = f"{METADATA} says that it has {told!r:.20} messages; it has {count}"
+                    self.damage.append(Damage(place.name, 0, 0, reason, None))
+        for simulator in self.simulators.values():
+            if simulator.dropped:
+                reason = f"{simulator.dropped} steps behind what is lost are of a run that nothing "
+                self.damage.append(
+                    Damage(place.name, 0, 0, reason + "describes; they are left out", {})
+                )
+        if any(damage.lost != 0 for damage in self.damage):
+            self.lost = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether no message is lost that was written."""
+        return self._is_gapless and all(damage.lost == 0 for damage in self.damage)
+
+    def _read(self, file):
+        """Take the messages of the next file; return how many messages of all kinds it has."""
+        wanted, sizes, count = {}, None, 0
+        for part in file.batches_and_gaps():
+            if sizes != (len(file.channels), len(file.schemas)):
+                sizes, wanted = (len(file.channels), len(file.schemas)), _wanted(file)
+            if isinstance(part, Batch):
+                count += len(part.offsets)
+                self._take(part, wanted)
+            else:
+                self._pass(file, part, wanted)
+        for record in file.metadata:
+            if record.name == NOTES and "lost" in record.metadata:
+                lost = record.metadata["lost"]
+                self.lost = int(lost) if lost.isdecimal() and len(lost) < 20 else None
+        return count
+
+    def _pass(self, file, gap, wanted):
+        """Know no description any more, if one may have been lost of which there is no copy."""
+        for i, (kind, prefix, schema) in wanted.items():
+            if kind != "SystemDescription" or file.channels[i].topic not in (
+                {file.channels[i].topic} if gap.topics is None else gap.topics
+            ):
+                continue
+            simulator = self._simulator(prefix)
+            copies = [m for at, m in file.copies if at < gap.end and m.channel_id == i]
+            copies = [m for m in copies if _place(m) not in simulator.seen]
+            simulator.is_known = False
+            if copies and len(copies) == gap.lost_in.get(i):
+                for m in copies:
+                    message = decoded(schema, m.data)
+                    simulator.describe(simulator.bead_count, _place(m), message)
+        self._is_gapless = False
+
+    def _know_nothing(self):
+        for simulator in self.simulators.values():
+            simulator.is_known = False
+
+    def _simulator(self, prefix):
+        return self.simulators.setdefault(prefix, Simulator(prefix))
+
+    def _take(self, batch, wanted):
+        present = {i: np.flatnonzero(batch.heads["channel"] == i) for i in wanted}
+        present = {i: places for i, places in present.items() if len(places)}
+        # States come first: how many were before a description is told by their places.
+        order = sorted(present, key=lambda i: wanted[i][0] not in STATES)
+        before = {prefix: s.bead_count for prefix, s in self.simulators.items()}
+        for i in order:
+            kind, prefix, schema = wanted[i]
+            simulator, places = self._simulator(prefix), present[i]
+            if kind == "FloquetResult":
+                self.results += [decoded(schema, batch.payload(k)) for k in places]
+            elif kind == "SystemDescription":
+                beads = [b for b in present if wanted[b][:2] == ("BeadStates", prefix)]
+                beads = present[beads[0]] if beads else np.empty(0, int)
+                for k in places:
+                    count = before.get(prefix, 0) + int(np.searchsorted(beads, k))
+                    data = batch.payload(k)
+                    place = (*batch.heads[k].tolist()[3:], data)
+                    simulator.describe(count, place, decoded(schema, data))
+            else:
+                if not simulator.is_known:
+                    places = places[places > self._described(present, wanted, prefix)]
+                if kind == "BeadStates":
+                    simulator.bead_count += len(places)
+                    simulator.dropped += len(present[i]) - len(places)
+                if len(places):
+                    simulator.blocks[kind] += [(schema, rows) for rows in _rows(batch, places)]
+
+    @staticmethod
+    def _described(present, wanted, prefix):
+        """From which of a batch's messages on the run is known."""
+        found = [present[i][0] for i in present if wanted[i][:2] == ("SystemDescription", prefix)]
+        return min(found, default=np.inf)
+
+
+def _place(message):
+    return message.sequence, message.log_time, message.publish_time, message.data
+
+
+def runs_of(bag: BagContent, simulator: Simulator, name: str) -> list[np.ndarray]:
+    """The numbers of each run's messages, as structured arrays with rising steps.
+
+    A simulator that is started anew counts steps from 0; one that is reset goes on counting, and
+    says in the new run's description with which step it begins.
+    """
+    runs, joined, layout, layouts = [], [], None, 0
+
+    def split():
+        if joined:
+            numbers = np.concatenate([layout[1].numbers(rows) for rows in joined])
+            anew = np.flatnonzero(numbers["step"][1:] <= numbers["step"][:-1]) + 1
+            runs.extend(np.split(numbers, anew))
+            joined.clear()
+
+    for schema, rows in simulator.blocks[name]:
+        while len(rows):
+            fits = layout is not None and layout[0] == schema and layout[1].fits(rows)
+            count = _leading(fits) if fits is not False else 0
+            if not count:
+                split()
+                layout, count = (schema, _layout(schema, rows[0].tobytes(), name)), 1
+                layouts += 1
+                if layouts > MAX_LAYOUTS:
+                    raise BagError(
+                        f"{bag.shown!r}: lengths and names in {name} change more than "
+                        f"{MAX_LAYOUTS} times"
+                    )
+            joined.append(rows[:count])
+            rows = rows[count:]
+    split()
+    if not runs:
+        raise BagError(f"{bag.shown!r} holds no message of type {name}")
+    lives = list(_lives(message for _, message in simulator.descriptions))
+    if len(lives) == len(runs):
+        parts = (np.split(r, np.searchsorted(r["step"], firsts)) for r, firsts in zip(runs, lives))
+    else:
+        parts = (np.split(r, _time_goes_back(r)) for r in runs)
+    return [part for part in itertools.chain.from_iterable(parts) if len(part)]
+
+
+def _lives(descriptions):
+    """For each life of a simulator the first steps of its runs; old bags have only 0."""
+    firsts, last = [], -1
+    for message in descriptions:
+        run = getattr(message, "run", 0)
+        if firsts and run <= last:
+            yield firsts
+            firsts = []
+        firsts.append(getattr(message, "first_step", 0))
+        last = run
+    if firsts:
+        yield firsts
+
+
+def _time_goes_back(numbers):
+    time_ns = times_ns(numbers)
+    return np.flatnonzero(time_ns[1:] < time_ns[:-1]) + 1
+
+
+def times_ns(numbers: np.ndarray) -> np.ndarray:
+    """Simulation times [ns] of messages with a header."""
+    return numbers["stamp.sec"].astype(np.int64) * 10**9 + numbers["stamp.nanosec"]
+
+
+def description_of(
+    bag: BagContent, simulator: Simulator, first_bead: int, number: int, runs: int
+) -> Any:
+    """The description of a run: the newest one before its first bead state."""
+    descriptions = simulator.descriptions
+    if not descriptions:
+        raise BagError(f"{bag.shown!r} holds no message of type SystemDescription")
+    if len(descriptions) == runs:
+        return descriptions[number - 1][1]
+    earlier = [message for before, message in descriptions if before <= first_bead]
+    return earlier[-1] if earlier else descriptions[0][1]
+
+
+def _wanted(file: McapFile) -> dict[int, tuple[str, str, Schema]]:
+    """Type, prefix and schema of the channels that are read."""
+    found = {}
+    for i, channel in file.channels.items():
+        schema = file.schemas.get(channel.schema_id)
+        package, _, kind = schema.name.rpartition("/") if schema else ("", "", "")
+        if package in ("tss_interfaces/msg", "tss_interfaces") and kind in TOPICS:
+            usual = TOPICS[kind]
+            known = channel.topic.endswith(usual)
+            prefix = channel.topic.removesuffix(usual) if known else channel.topic + "/../"
+            if not known or kind == "FloquetResult":
+                prefix = channel.topic.rpartition("/")[0] + "/"
+            _check_readable(file, channel, schema)
+            found[i] = (kind, prefix, schema)
+    return found
+
+
+def _check_readable(file, channel, schema):
+    where = f"{str(file.path)!r}: topic {channel.topic!r}"
+    if channel.message_encoding != "cdr":
+        raise BagError(f"{where} is encoded as {channel.message_encoding!r:.40}; allowed: 'cdr'")
+    if schema.encoding != "ros2msg":
+        raise BagError(f"{where} is described as {schema.encoding!r:.40}; allowed: 'ros2msg'")
+    if not schema.data.strip():
+        raise BagError(f"{where}: the file has no text of its type {schema.name}")
+    if len(schema.data) > MAX_SCHEMA_BYTES:
+        raise BagError(f"{where}: the text of its type has {len(schema.data)} bytes")
+
+
+def decoded(schema: Schema, data: bytes) -> Any:
+    """A message, as its schema describes it.
+
+    Raises
+    ------
+    BagError
+        If it is not, or if the schema is none.
     """
     try:
-        with file.open("rb") as stream:
-            yield stream
-    except OSError as error:
-        raise TssError(f"{str(file)!r} cannot be read: {error.strerror}") from error
+        return _decoder(schema.name, schema.encoding, schema.data)(data)
+    except Exception as error:  # the library raises anything at texts that are no definitions
+        raise BagError(f"a message of {schema.name} cannot be read: {_one_line(error)}") from error
+
+
+@functools.lru_cache(maxsize=64)
+def _decoder(name, encoding, data):
+    # The library prints what it does not understand, besides raising it.
+    with contextlib.redirect_stderr(io.StringIO()):
+        return DecoderFactory().decoder_for("cdr", Schema(1, data, encoding, name))
+
+
+def _layout(schema, data, name):
+    try:
+        layout = Layout(schema.data.decode(), data)
+        if lacking := [field for field in FIELDS[name] if field not in layout.names]:
+            raise BagError(f"{schema.name} lacks {', '.join(lacking)}")
+        return layout
+    except BagError:
+        raise
     except DAMAGE as error:
-        reason = str(error) or type(error).__name__
-        raise TssError(
-            f"{str(file)!r} is not a complete MCAP file: {reason}; if its recorder was "
-            "killed, `recover` makes a whole bag of it"
-        ) from error
+        raise BagError(f"a message of {name} cannot be read: {_one_line(error)}") from error
 
 
-def indexed_reader(stream: BinaryIO) -> tuple[SeekingReader, Summary]:
-    """The reader and the summary of a complete MCAP file.
-
-    Raises
-    ------
-    one of DAMAGE
-        If it is not complete.
-    """
-    if stream.seek(0, os.SEEK_END) < MIN_FILE_BYTES:
-        raise McapError("it is too short")
-    stream.seek(0)
-    reader = SeekingReader(stream)
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        raise McapError("it has no summary")
-    return reader, summary
-
-
-class BagContent:
-    """Collects what a bag's files hold, file by file."""
-
-    def __init__(self, shown: str) -> None:
-        self.shown = shown
-        self._blocks = {name: [] for name in STATES}  # serialised messages, (k, bytes) each
-        self._definition = {}
-        self.others = {name: [] for name in OTHERS}  # (bead states before it, message)
-        self._bead_count = 0
-        self.lost = None
-
-    def read(self, stream: BinaryIO) -> None:
-        """Take the messages of the next file."""
-        reader, summary = indexed_reader(stream)
-        if summary.statistics.message_count and not summary.chunk_indexes:
-            raise McapError("it has no chunks with an index")
-        for record in reader.iter_metadata():
-            if record.name == NOTES and "lost" in record.metadata:
-                self.lost = int(record.metadata["lost"])  # of all files up to this one
-        types = {
-            channel: summary.schemas[c.schema_id]
-            for channel, c in summary.channels.items()
-            if c.schema_id in summary.schemas
-        }
-        wanted = {f"tss_interfaces/msg/{name}": name for name in (*STATES, *OTHERS)}
-        for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
-            found = {
-                wanted[types[channel].name]: (channel, offset)
-                for channel, offset in index.message_index_offsets.items()
-                if channel in types and types[channel].name in wanted
-            }
-            if found:
-                self._read_chunk(stream, index, found, types)
-
-    def _read_chunk(self, stream, index, found, types):
-        stream.seek(index.chunk_start_offset + _RECORD_HEAD_BYTES)
-        data, size = get_chunk_data_stream(Chunk.read(ReadDataStream(stream)))
-        chunk = np.frombuffer(data.read(size), np.uint8)
-        beads = np.empty(0, int)
-        for name in (*STATES, *OTHERS):
-            if name not in found:
-                continue
-            channel, place = found[name]
-            offsets = _offsets(stream, place)
-            if name in STATES:
-                beads = offsets if name == "BeadStates" else beads
-                self._definition.setdefault(name, types[channel].data.decode())
-                self._blocks[name] += _rows(chunk, offsets)
-                continue
-            decode = DecoderFactory().decoder_for("cdr", types[channel])
-            for offset in offsets:
-                ((message,),) = _rows(chunk, np.array([offset]))
-                before = self._bead_count + int((beads < offset).sum())
-                self.others[name].append((before, decode(message.tobytes())))
-        self._bead_count += len(beads)
-
-    def runs(self, name: str) -> list[np.ndarray]:
-        """The numbers of each run's messages, as structured arrays with rising steps.
-
-        A simulator that is started anew counts steps from 0; one that is reset goes on counting,
-        and says in the new run's description with which step it begins.
-        """
-        runs, layout, joined = [], None, []
-
-        def split():
-            if joined:
-                numbers = np.concatenate([layout.numbers(rows) for rows in joined])
-                anew = np.flatnonzero(numbers["step"][1:] <= numbers["step"][:-1]) + 1
-                runs.extend(np.split(numbers, anew))
-                joined.clear()
-
-        for rows in self._blocks[name]:
-            while len(rows):
-                count = 0 if layout is None else _leading(layout.fits(rows))
-                if not count:
-                    split()
-                    layout, count = Layout(self._definition[name], rows[0].tobytes()), 1
-                joined.append(rows[:count])
-                rows = rows[count:]
-        split()
-        if not runs:
-            raise TssError(f"{self.shown!r} holds no message of type {name}")
-        simulators = self._first_steps()
-        if len(simulators) != len(runs):
-            return runs
-        parts = []
-        for numbers, first_steps in zip(runs, simulators):
-            parts += np.split(numbers, np.searchsorted(numbers["step"], first_steps))
-        return [part for part in parts if len(part)]
-
-    def _first_steps(self):
-        """For each simulator the first steps of its runs; bags made before resets have only 0."""
-        simulators, last = [], -1
-        for _, message in self.others["SystemDescription"]:
-            run = getattr(message, "run", 0)
-            if not simulators or run <= last:
-                simulators.append([])
-            simulators[-1].append(getattr(message, "first_step", 0))
-            last = run
-        return simulators
-
-    def description(self, first_bead: int, number: int, runs: int) -> Any:
-        """The description of a run: the newest one before its first bead state."""
-        descriptions = self.others["SystemDescription"]
-        if not descriptions:
-            raise TssError(f"{self.shown!r} holds no message of type SystemDescription")
-        if len(descriptions) == runs:
-            return descriptions[number - 1][1]
-        earlier = [message for before, message in descriptions if before <= first_bead]
-        return earlier[-1] if earlier else descriptions[0][1]
+def _one_line(error):
+    return " ".join(f"{error or type(error).__name__}".split())[:200]
 
 
 def _leading(fits):
@@ -225,24 +360,9 @@ def _leading(fits):
     return len(fits) if fits.all() else int(fits.argmin())
 
 
-def _offsets(stream, place):
-    """Where in its chunk the messages of one channel begin, from the message index at `place`."""
-    stream.seek(place)
-    data = ReadDataStream(stream)
-    if data.read1() != Opcode.MESSAGE_INDEX:
-        raise McapError("its message index is damaged")
-    data.read8()
-    data.read2()
-    pairs = np.frombuffer(data.read(data.read4()), "<u8").reshape(-1, 2)
-    return pairs[:, 1].astype(int)
-
-
-def _rows(chunk, offsets):
-    """Messages at `offsets` of a chunk as arrays (k, bytes), a new one where the length changes."""
-    heads = chunk[offsets[:, None] + np.arange(_MESSAGE_HEAD.itemsize)].view(_MESSAGE_HEAD)[:, 0]
-    lengths = heads["length"].astype(int) + _RECORD_HEAD_BYTES - _MESSAGE_HEAD.itemsize
-    changes = np.flatnonzero(np.diff(lengths)) + 1
-    return [
-        chunk[part[:, None] + _MESSAGE_HEAD.itemsize + np.arange(length[0])]
-        for part, length in zip(np.split(offsets, changes), np.split(lengths, changes))
-    ]
+def _rows(batch: Batch, places: np.ndarray) -> Iterator[np.ndarray]:
+    """Some messages as arrays (k, bytes), a new one where the length changes."""
+    sizes, begins = batch.sizes[places], batch.offsets[places] + MESSAGE_HEAD.itemsize
+    changes = np.flatnonzero(np.diff(sizes)) + 1
+    for part, size in zip(np.split(begins, changes), np.split(sizes, changes)):
+        yield batch.data[part[:, None] + np.arange(size[0])]

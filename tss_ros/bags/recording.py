@@ -1,8 +1,10 @@
 """Bags read into arrays, run by run; as fast for a million steps as the disk allows."""
 
+import itertools
 import json
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from tss_ros.bags.older import UNSAID, completed
-from tss_ros.bags.reader import STATES, BagContent, bag_files, open_complete
+from tss_ros.bags.reader import STATES, BagContent, description_of, runs_of, times_ns
+from tss_ros.bags.records import DAMAGE, BagError
 from tss_ros.core import System, TssError, deviation, elastic_energy, pushing_share
 
 
@@ -73,17 +76,30 @@ class Description:
         """Take over a message SystemDescription, whose fields have the same names.
 
         Bags made before some of these fields existed lack them.
+
+        Raises
+        ------
+        TssError
+            If it lacks others, or if a text or list of texts is none.
         """
         values = {
             f.name: _CONVERSIONS.get(f.type, f.type)(getattr(message, f.name))
             for f in fields(cls)
             if hasattr(message, f.name)
         }
+        for f in fields(cls):
+            if f.name not in values and f.default is MISSING and f.default_factory is MISSING:
+                raise TssError(f"SystemDescription lacks {f.name}")
+            texts = values.get(f.name, ()) if f.type is tuple else ()
+            if not all(isinstance(text, str) for text in texts):
+                raise TssError(f"SystemDescription: {f.name} is no list of texts")
         values["is_satellite"] = values["is_satellite"].astype(bool)
         values["tether_ends"] = values["tether_ends"].reshape(-1, 2).astype(int)
         named = getattr(message, "law_parameter_name", ())
         values["law_parameters"] = dict(zip(named, getattr(message, "law_parameter", ())))
         values["parameters"] = json.loads(getattr(message, "parameters_json", "") or "{}")
+        if not isinstance(values["parameters"], dict):
+            raise TssError("SystemDescription: parameters_json is no JSON object")
         return cls(**values)
 
     @property
@@ -118,6 +134,10 @@ class Recording(Description):
         What the stability node found while the bag was recorded.
     lost : int or None
         Messages that the recorder, or `recover`, knew to be lost; None if the bag does not say.
+    prefix : str
+        What the names of the simulator's topics begin with, mostly its namespace.
+    damage : tuple of str
+        What of the bag is not intact, and so not here: a line each.
     """
 
     step: np.ndarray
@@ -132,13 +152,58 @@ class Recording(Description):
     runs: int = 1
     stability: tuple = ()
     lost: int | None = None
+    prefix: str = "/"
+    damage: tuple = ()
 
     @cached_property
     def system(self) -> System:
-        """What was simulated; its layout is where the recording begins."""
+        """What was simulated; its layout is where the recording is first all finite."""
         names = {f.name for f in fields(System)} & {f.name for f in fields(self)}
         known = {name: getattr(self, name) for name in names}
-        return System(**known, layout_m=self.position_m[0])
+        finite = np.isfinite(self.position_m).all(axis=(1, 2))
+        layout_m = self.position_m[finite.argmax()] if finite.any() else np.zeros((self.n, 3))
+        return System(**known, layout_m=layout_m)
+
+    def only(self, chosen: np.ndarray) -> "Recording":
+        """Some of the steps, e.g. where a mask of shape (k,) is true."""
+        names = ("step", "t_s", "position_m", "velocity_m_s", "deviation")
+        names += ("length_m", "tension_n", "taut")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    @property
+    def is_finite(self) -> np.ndarray:
+        """Which steps have finite numbers only, shape (k,)."""
+        numbers = (self.position_m, self.velocity_m_s, self.deviation)
+        numbers += (self.length_m, self.tension_n)
+        return np.logical_and.reduce([np.isfinite(x.reshape(len(x), -1)).all(1) for x in numbers])
+
+    @property
+    def n(self) -> int:
+        """How many beads there are."""
+        return len(self.bead_name)
+
+    def check(self) -> None:
+        """Refuse what no simulator publishes.
+
+        Raises
+        ------
+        TssError
+            Naming the field, its value and what is allowed.
+        """
+        k, n, m = len(self.step), self.n, len(self.tether_name)
+        shapes = dict.fromkeys(("position_m", "velocity_m_s"), (k, n, 3))
+        shapes |= {"reference_radius_m": (n,), "deviation": (k, n)}
+        shapes |= dict.fromkeys(("length_m", "tension_n", "taut"), (k, m))
+        for name, shape in shapes.items():
+            found = getattr(self, name)
+            if found.shape != shape or found.dtype.kind not in "fb":
+                raise TssError(f"{name} has shape {found.shape}, {found.dtype}; allowed: {shape}")
+        for name in ("orbit_rate_rad_s", "spin_rate_ratio", "publish_period_s"):
+            if not (math.isfinite(value := getattr(self, name)) and value):
+                raise TssError(f"{name} is {value}; allowed: finite, not 0")
+        if not math.isfinite(self.disturbance_m):
+            raise TssError(f"disturbance_m is {self.disturbance_m}; allowed: finite")
+        self.system  # noqa: B018 - it checks the rest
 
     @property
     def pushing_share(self) -> float:
@@ -181,7 +246,7 @@ class Recording(Description):
         return 0.5 * (speed2 + tidal) @ self.mass_kg + elastic
 
 
-def read_bag(path: str | Path, run: int | None = None) -> Recording:
+def read_bag(path: str | Path, run: int | None = None, damaged: bool = False) -> Recording:
     """Read one run from a bag.
 
     Parameters
@@ -189,7 +254,11 @@ def read_bag(path: str | Path, run: int | None = None) -> Recording:
     path : str or Path
         Bag directory or .mcap file.
     run : int, optional
-        Which one, from 1, of a bag in which the simulation began anew; by default the last.
+        Which one, from 1, of a bag in which the simulation began anew, or which has several
+        simulators; by default the last.
+    damaged : bool
+        Whether to read what is intact of a bag that is damaged; `Recording.damage` says what is
+        not.
 
     Returns
     -------
@@ -199,33 +268,82 @@ def read_bag(path: str | Path, run: int | None = None) -> Recording:
 
     Raises
     ------
-    TssError
-        If there is no readable recording of a run.
+    tss_ros.bags.records.BagError
+        If there is no readable recording of a run. Whatever is wrong with a bag raises this.
     """
-    shown = str(path)
-    bag = BagContent(shown)
-    for file in bag_files(path):
-        with open_complete(file) as stream:
-            bag.read(stream)
-    beads, tethers = (bag.runs(name) for name in STATES)
-    if len(beads) != len(tethers):
-        raise TssError(
-            f"{shown!r} holds {len(beads)} runs of BeadStates and {len(tethers)} of TetherStates; "
-            "allowed: as many of each"
+    bag = BagContent(path)
+    if bag.damage and not damaged:
+        raise BagError(f"{bag.shown!r} is damaged; {damage_in_words(bag.damage)}")
+    try:
+        return _read_run(bag, run)
+    except TssError as error:
+        if not bag.damage:
+            raise
+        raise BagError(f"{error}; {damage_in_words(bag.damage)}") from error
+
+
+def damage_in_words(damage: Sequence[Any], most: int = 3) -> str:
+    """What is damaged, in one line, and what to do."""
+    lines = [str(part) for part in damage[:most]]
+    if len(damage) > most:
+        lines.append(f"{len(damage) - most} more")
+    return "; ".join(lines) + "; `verify` says more, and `recover` makes a whole bag of the rest"
+
+
+def _read_run(bag, run):
+    found = []
+    for _, simulator in sorted(bag.simulators.items()):
+        if len(bag.simulators) == 1 or all(simulator.blocks.values()):
+            beads, tethers = (runs_of(bag, simulator, name) for name in STATES)
+            _check_runs(bag, simulator, beads, tethers)
+            firsts = np.cumsum([0, *map(len, beads[:-1])])
+            runs = zip(itertools.count(1), itertools.repeat(len(beads)), firsts, beads, tethers)
+            found += [(simulator, *parts) for parts in runs]
+    if not found:
+        raise BagError(f"{bag.shown!r} holds no message of type {STATES[0]}")
+    if run is not None and not 1 <= run <= len(found):
+        raise BagError(f"run is {run}; allowed for {bag.shown!r}: 1 to {len(found)}")
+    number = run or len(found)
+    simulator, within, count, first_bead, beads, tethers = found[number - 1]
+    described = description_of(bag, simulator, first_bead, within, count)
+    if not bag.is_whole:
+        _check_times(bag, described, beads)
+    return _recording(bag, (number, len(found), simulator.prefix), described, beads, tethers)
+
+
+def _check_runs(bag, simulator, beads, tethers):
+    described = len(simulator.descriptions)
+    if len(beads) > described > 0 and bag.is_whole:
+        raise BagError(
+            f"{bag.shown!r} describes {described} runs, but the steps begin anew {len(beads) - 1} "
+            "times: several simulators published on its topics at once, and nothing tells apart "
+            "whose steps are whose"
         )
-    if run is not None and not 1 <= run <= len(beads):
-        raise TssError(f"run is {run}; allowed for {shown!r}: 1 to {len(beads)}")
-    number = run or len(beads)
-    first_bead = sum(len(earlier) for earlier in beads[: number - 1])
-    return _recording(bag, number, len(beads), first_bead, beads[number - 1], tethers[number - 1])
+    if len(beads) != len(tethers):
+        raise BagError(
+            f"{bag.shown!r} holds {len(beads)} runs of BeadStates and {len(tethers)} of "
+            "TetherStates; allowed: as many of each"
+        )
 
 
-def _recording(bag, number, run_count, first_bead, beads, tethers):
+def _check_times(bag, description, beads):
+    """Refuse steps behind damage whose times are not those of the run that is described."""
+    first = getattr(description, "first_step", 0)
+    begun_ns = description.header.stamp.sec * 10**9 + description.header.stamp.nanosec
+    expected_s = (beads["step"].astype(float) - first) * description.publish_period_s
+    if np.abs((times_ns(beads) - begun_ns) / 1e9 - expected_s).max() > 1e-6:
+        raise BagError(
+            f"{bag.shown!r}: the steps are not all of the run that is described; another "
+            "description is lost"
+        )
+
+
+def _recording(bag, place, description, beads, tethers):
     steps, of_beads, of_tethers = np.intersect1d(
         beads["step"], tethers["step"], assume_unique=True, return_indices=True
     )
     if not steps.size:
-        raise TssError(
+        raise BagError(
             f"{bag.shown!r} holds no step of both: BeadStates {beads['step'][0]} to "
             f"{beads['step'][-1]}, TetherStates {tethers['step'][0]} to {tethers['step'][-1]}"
         )
@@ -234,18 +352,31 @@ def _recording(bag, number, run_count, first_bead, beads, tethers):
         values, rows = (beads, of_beads) if source == "beads" else (tethers, of_tethers)
         return values[field][rows].reshape(len(steps), *shape)
 
-    return Recording(
-        **vars(Description.of(bag.description(first_bead, number, run_count))),
-        step=steps.astype(int),
-        t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
-        position_m=column("beads", "position_m", -1, 3),
-        velocity_m_s=column("beads", "velocity_m_s", -1, 3),
-        deviation=column("beads", "deviation", -1),
-        length_m=column("tethers", "length_m", -1),
-        tension_n=column("tethers", "tension_n", -1),
-        taut=column("tethers", "taut", -1).astype(bool),
-        run=number,
-        runs=run_count,
-        stability=tuple(completed(message) for _, message in bag.others["FloquetResult"]),
-        lost=bag.lost,
-    )
+    if (times_ns(beads)[of_beads] != times_ns(tethers)[of_tethers]).any():
+        raise BagError(f"{bag.shown!r}: BeadStates and TetherStates of a step differ in time")
+    number, count, prefix = place
+    try:
+        recording = Recording(
+            **vars(Description.of(description)),
+            step=steps.astype(int),
+            t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
+            position_m=column("beads", "position_m", -1, 3),
+            velocity_m_s=column("beads", "velocity_m_s", -1, 3),
+            deviation=column("beads", "deviation", -1),
+            length_m=column("tethers", "length_m", -1),
+            tension_n=column("tethers", "tension_n", -1),
+            taut=column("tethers", "taut", -1).astype(bool),
+            run=number,
+            runs=count,
+            stability=tuple(map(completed, bag.results)),
+            lost=bag.lost,
+            prefix=prefix,
+            damage=tuple(map(str, bag.damage)),
+        )
+        recording.check()
+    except BagError:
+        raise
+    except DAMAGE as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"{bag.shown!r} is no recording of a formation: {reason}") from error
+    return recording

@@ -4,34 +4,34 @@ Every chunk that is intact is kept, also behind a damaged one. The damaged file 
 one as `<name>.mcap.damaged`, and is never changed.
 """
 
-import mmap
 import os
-import struct
+import re
+import stat
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
-from mcap.writer import CompressionType, Writer
+import numpy as np
 
-from tss_ros.bags.directory import lock, sync_directory
-from tss_ros.bags.reader import DAMAGE, bag_files, indexed_reader
-from tss_ros.bags.writer import (
-    CHUNK_BYTES,
-    FIRST_NOTES,
-    NOTES,
-    BagFile,
-    finish,
-    write_metadata,
+from tss_ros.bags.checks import (
+    CheckedFile,
+    check_file,
+    expected_information,
+    metadata_faults,
+    topic_of,
 )
+from tss_ros.bags.directory import METADATA, create, find_files, lock, sync_directory
+from tss_ros.bags.mcap_file import Gap, McapFile
+from tss_ros.bags.metadata import NOTES, BagFile, write_metadata
+from tss_ros.bags.records import GAP, BagError, Batch, one_line, pack_gap
+from tss_ros.bags.writer import FIRST_NOTES, begin, finish
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 
 DAMAGED_SUFFIX = ".damaged"
-#: What stands in each chunk record of our files, and how far behind its beginning.
-_CHUNK_MARK, _CHUNK_MARK_OFFSET = struct.pack("<I", 3) + b"lz4", 37
+#: Endings of the files that recovery reads, renames or makes.
+_OURS = (".mcap", ".mcap.zstd", ".mcap.recovering", METADATA, DAMAGED_SUFFIX)
 
 
 def find_cut(folder: str | Path) -> list[Path]:
@@ -45,13 +45,21 @@ def find_cut(folder: str | Path) -> list[Path]:
     -------
     list of Path
     """
-    begun = {
-        bag
-        for bag in Path(folder).iterdir()
-        for suffix in ("", DAMAGED_SUFFIX)
-        if os.path.exists(bag / f"{bag.name}_0.mcap{suffix}")
-    }
-    return sorted(b for b in begun if not (b / "metadata.yaml").exists() and not _in_use(b))
+    return sorted(path for path in Path(folder).iterdir() if _is_cut(path))
+
+
+def _is_cut(bag):
+    """Whether this is a bag of this user, begun and not completed, and no link to one."""
+    try:
+        own = bag.lstat()
+        if not stat.S_ISDIR(own.st_mode) or own.st_uid != os.geteuid():
+            return False
+        names = set(os.listdir(bag))
+    except OSError:
+        return False
+    first = f"{bag.name}_0.mcap"
+    begun = {first, first + DAMAGED_SUFFIX} & names
+    return bool(begun) and METADATA not in names and not _in_use(bag)
 
 
 def recover(bag: str | Path) -> list[str]:
@@ -79,12 +87,29 @@ def recover(bag: str | Path) -> list[str]:
         mark = lock(bag)
     except BlockingIOError:
         raise TssError(f"{str(bag)!r} is being recorded") from None
+    except OSError as error:
+        raise TssError(f"{str(bag)!r} cannot be recovered: {error.strerror}") from error
     try:
+        _check_own(bag, os.fstat(mark))
         return _recover(bag)
     except OSError as error:
         raise TssError(f"{str(bag)!r} cannot be recovered: {error.strerror}") from error
     finally:
         os.close(mark)
+
+
+def _check_own(bag, directory):
+    """Refuse what belongs to others, and links: they could lead to files of this user."""
+    for shown, status in (
+        (str(bag), directory),
+        *((entry.path, entry.stat(follow_symlinks=False)) for entry in os.scandir(bag)),
+    ):
+        if not shown.endswith(_OURS) and shown != str(bag):
+            continue
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+            raise BagError(f"{shown!r} is a link or no file; allowed: files of the bag itself")
+        if status.st_uid != os.geteuid():
+            raise BagError(f"{shown!r} belongs to user {status.st_uid}; recover it as that user")
 
 
 def _in_use(bag):
@@ -96,160 +121,163 @@ def _in_use(bag):
 
 
 def _recover(bag):
-    for damaged in bag.glob(f"*.mcap{DAMAGED_SUFFIX}"):
-        # An earlier recovery was stopped between its last two steps.
-        if not (original := damaged.with_suffix("")).exists():
-            damaged.rename(original)
-    done, files, topics, notes = [], [], {}, {}
-    for path in bag_files(bag):
-        try:
-            file, found = _whole_file(path, topics)
-        except DAMAGE:
-            file, found, account = _rewrite(path, topics, notes)
+    _undo_stopped(bag)
+    found = find_files(bag)
+    checked = [check_file(path, follow=False) for path in found.paths]
+    damaged = [file.faults or not file.path.name.endswith(".mcap") for file in checked]
+    if found.information.get("compression_mode") and any(file.faults for file in checked):
+        damaged = [True] * len(checked)  # else some were compressed and some were not
+    is_whole = not any(file.faults for file in checked) and found.information
+    if is_whole and not found.damage and not metadata_faults(found, checked):
+        return []
+    done, notes = [], {}
+    for i, file in enumerate(checked):
+        if damaged[i]:
+            checked[i], account = _rewrite(file, notes)
             done.append(account)
-        files.append(file)
-        notes = {**notes, **found}
-    if done or not (bag / "metadata.yaml").exists():
-        distro = notes.get("ros_distro", "unknown")
-        write_metadata(bag, files, list(topics.values()), distro, notes)
-        done = done or [f"{bag}: metadata.yaml was missing; no message was lost"]
-    return done
+        notes |= checked[i].notes
+    topics = {name: topic for file in checked for name, topic in file.topics.items()}
+    said = expected_information(checked)
+    write_metadata(
+        bag, [file.entry for file in checked], list(topics.values()), said["ros_distro"], notes
+    )
+    kind = "was missing" if not (found.information or found.damage) else "was not right"
+    return done or [f"{bag}: {METADATA} {kind}; no message was lost"]
 
 
-def _whole_file(path, topics):
-    """The entry and the notes of a file that is complete."""
-    with path.open("rb") as stream:
-        reader, summary = indexed_reader(stream)
-        statistics, notes = summary.statistics, {}
-        for record in reader.iter_metadata():
-            notes |= record.metadata if record.name == NOTES else {}
-        stream.seek(0)
-        records = StreamReader(stream, emit_chunks=True).records
-        chunks = (record for record in records if isinstance(record, Chunk))
-        indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
-        for chunk, index in zip(chunks, indexes, strict=True):
-            # One whose head is blank reads like an empty chunk without a checksum.
-            indexed = index.uncompressed_size, index.compression
-            if (chunk.uncompressed_size, chunk.compression) != indexed:
-                raise ValueError(f"a chunk of {path} is not as the file's index says")
-            get_chunk_data_stream(chunk, validate_crc=True)
-    file = BagFile(path.name)
-    for channel in summary.channels.values():
-        topics[channel.topic] = _topic(channel, summary.schemas[channel.schema_id])
-        file.counts[channel.topic] = statistics.channel_message_counts.get(channel.id, 0)
-    if statistics.message_count:
-        file.first_ns, file.last_ns = statistics.message_start_time, statistics.message_end_time
-    return file, notes
+def _undo_stopped(bag):
+    """Put damaged files back that an earlier recovery had set aside when it was stopped."""
+    for damaged in bag.glob(f"*.mcap*{DAMAGED_SUFFIX}"):
+        original = damaged.with_suffix("")
+        recovered = original.with_name(original.name.removesuffix(".zstd"))
+        if not (os.path.lexists(original) or os.path.lexists(recovered)):
+            damaged.rename(original)
 
 
-def _rewrite(path, topics, notes):
-    """Replace a damaged file by one with all that is intact; return its entry, notes, account."""
-    fresh = path.with_suffix(".mcap.recovering")
-    file, lost = BagFile(path.name), 0
-    schemas, channels, last_number, newest_ns = {}, {}, {}, None
-    damage = _Damage()
-    with path.open("rb") as source, fresh.open("wb") as stream:
-        size, written_ns = os.fstat(source.fileno()).st_size, os.fstat(source.fileno()).st_mtime_ns
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        writer.start(profile="ros2")
-        for record in _intact_records(source, size, damage):
-            if isinstance(record, Metadata):
-                if record.name in (NOTES, FIRST_NOTES):
-                    notes = {**notes, **record.metadata}
-            elif isinstance(record, Schema):
-                number = writer.register_schema(record.name, record.encoding, record.data)
-                schemas[record.id] = (number, record)
-            elif isinstance(record, Channel):
-                number, schema = schemas[record.schema_id]
-                topics[record.topic] = _topic(record, schema)
-                file.counts.setdefault(record.topic, 0)
-                channels[record.id] = (
-                    record.topic,
-                    writer.register_channel(
-                        record.topic, record.message_encoding, number, record.metadata
-                    ),
-                )
-            elif record.channel_id in channels:
-                topic, channel = channels[record.channel_id]
-                writer.add_message(
-                    channel, record.log_time, record.data, record.publish_time, record.sequence
-                )
-                file.add(topic, record.log_time)
-                newest_ns = record.publish_time
-                expected = last_number.get(channel, record.sequence - 1) + 1
-                lost += max(0, record.sequence - expected)
-                last_number[channel] = record.sequence
-        account = f"{path}: {file.message_count} messages recovered"
-        if newest_ns is not None:
-            late_s = max(0.0, (written_ns - newest_ns) / 1e9)
-            account += f", up to {file.last_ns / 1e9:.3f} s of simulation time, the newest sent "
-            account += f"{late_s:.2f} s before the file was last written to"
-        account += f"; {lost} missing in between, {damage.byte_count} bytes unreadable"
+def _rewrite(checked, notes):
+    """Replace a damaged file by one with all that is intact; return its entry, and an account."""
+    path = checked.path
+    final = path.with_name(path.name.removesuffix(".zstd"))
+    fresh = final.with_suffix(".mcap.recovering")
+    with McapFile(path, follow=False) as source:
+        lost_copies = _copies_alone(source)
+    with McapFile(path, follow=False) as source, create(fresh) as stream:
+        for record in source.metadata:
+            if record.name in (NOTES, FIRST_NOTES):
+                notes = {**notes, **record.metadata}
+        copy = _Copy(source, begin(stream), BagFile(final.name))
+        for part in source.batches_and_gaps():
+            if isinstance(part, Batch):
+                copy.add(part)
+            else:
+                copy.add_gap(part, lost_copies)
+        account = f"{path}: {_account(source, checked, copy, os.stat(path).st_mtime_ns)}"
+        before = notes.get("lost", "")
+        before = int(before) if re.fullmatch(r"\d{1,18}", before) else 0
+        known = sum(damage.lost or 0 for damage in source.damage)
         notes = {
             **notes,
-            "lost": str(int(notes.get("lost", 0)) + lost),
-            f"recovered {path.name}": account.partition(": ")[2],
+            "lost": str(before + max(checked.missing, known)),
+            f"recovered {final.name}": account.partition(": ")[2],
         }
         distro = notes.get("ros_distro", "unknown")
-        finish(writer, stream, file, list(topics.values()), distro, notes)
+        finish(copy.writer, stream, copy.entry, list(copy.topics.values()), distro, notes)
     aside = _free_name(path.with_name(path.name + DAMAGED_SUFFIX))
     path.rename(aside)
-    fresh.rename(path)
+    fresh.rename(final)
     sync_directory(path.parent)
-    return file, notes, f"{account}; the damaged file is now {aside.name}"
+    whole = CheckedFile(final, copy.entry, copy.topics, notes)
+    return whole, f"{account}; the damaged file is now {aside.name}"
 
 
-class _Damage:
-    """Counts the bytes that hold no intact record."""
-
-    byte_count = 0
-
-
-def _intact_records(source, size, damage):
-    """Every intact metadata record, and the records of every intact chunk, of a damaged file."""
-    if not size:
-        return
-    position = search = 0
-    with mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        while True:
-            source.seek(position)
-            reader = StreamReader(
-                source, skip_magic=position > 0, emit_chunks=True, record_size_limit=size
-            )
-            good = position
-            try:
-                for record in reader.records:
-                    if isinstance(record, Chunk):
-                        yield from breakup_chunk(record, validate_crc=True)
-                    elif isinstance(record, Metadata):
-                        yield record
-                    good = source.tell()
-                return
-            except DAMAGE:
-                search = max(search, good) + 1
-            found = content.find(_CHUNK_MARK, search + _CHUNK_MARK_OFFSET)
-            position = size if found < 0 else found - _CHUNK_MARK_OFFSET
-            damage.byte_count += position - good
-            if found < 0:
-                return
-            search = position
-
-
-def _topic(channel, schema):
-    """A topic in rosbag2's notation."""
-    return {
-        "name": channel.topic,
-        "type": schema.name,
-        "serialization_format": channel.message_encoding,
-        "offered_qos_profiles": yaml.safe_load(channel.metadata["offered_qos_profiles"]),
-        "type_description_hash": channel.metadata["topic_type_hash"],
+def _copies_alone(file):
+    """Copies of latched messages that no intact chunk has, and where they are."""
+    places = {
+        (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data): at
+        for at, m in file.copies
     }
+    numbers = {place[0] for place in places}
+    for batch in file.batches() if numbers else ():
+        for i in np.flatnonzero(np.isin(batch.heads["channel"], list(numbers))):
+            places.pop((*batch.heads[i].tolist()[2:], batch.payload(i)), None)
+    return [(at, *place) for place, at in places.items() if place[0] in file.channels]
+
+
+class _Copy:
+    """Writes the messages of a file into another."""
+
+    def __init__(self, source, writer, entry):
+        self.source, self.writer, self.entry = source, writer, entry
+        self.topics, self.newest_ns, self._schemas, self._channels = {}, None, {}, {}
+        for number in source.channels:
+            self._channel(number)
+
+    def add(self, batch: Batch):
+        names = ["channel", "sequence", "log_time", "publish_time"]
+        for i, head in enumerate(batch.heads[names].tolist()):
+            number, sequence, log_time, publish_time = head
+            topic, channel = self._channels.get(number) or self._channel(number)
+            self.writer.add_message(channel, log_time, batch.payload(i), publish_time, sequence)
+            self.entry.add(topic, log_time)
+            self.newest_ns = publish_time
+
+    def add_gap(self, gap: Gap, lost_copies: list[tuple]):
+        """Tell where messages were lost, and add those that are lost, but for a copy."""
+        found = [copy for copy in lost_copies if copy[0] < gap.end]
+        topics, counts = gap.topics, Counter(copy[1] for copy in found)
+        if topics is not None:
+            told = {n for n, count in gap.lost_in.items() if count == counts[n]}
+            topics = topics - {self.source.channels[n].topic for n in told}
+        if gap.topics is None or gap.topics:
+            self.writer.flush()
+            self.writer.add_metadata(GAP, pack_gap(topics))
+        for copy in found:
+            lost_copies.remove(copy)
+            _, number, sequence, log_time, publish_time, data = copy
+            topic, channel = self._channels.get(number) or self._channel(number)
+            self.writer.add_message(channel, log_time, data, publish_time, sequence)
+            self.entry.add(topic, log_time)
+
+    def _channel(self, number):
+        channel = self.source.channels[number]
+        schema = self.source.schemas.get(channel.schema_id)
+        if schema is not None and schema.id not in self._schemas:
+            self._schemas[schema.id] = self.writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+        written = self.writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            self._schemas.get(channel.schema_id, 0),
+            channel.metadata,
+        )
+        self._channels[number] = channel.topic, written
+        self.topics[channel.topic] = topic_of(channel, schema)
+        self.entry.counts.setdefault(channel.topic, 0)
+        return self._channels[number]
+
+
+def _account(source, checked, copy, written_ns):
+    """What was recovered, and what was not."""
+    text = f"{copy.entry.message_count} messages recovered"
+    if copy.newest_ns is not None:
+        late_s = max(0.0, (written_ns - copy.newest_ns) / 1e9)
+        text += f", up to {copy.entry.last_ns / 1e9:.3f} s of simulation time, the newest sent "
+        text += f"{late_s:.2f} s before the file was last written to"
+    unreadable = sum(damage.byte_count for damage in source.damage)
+    text += f"; {checked.missing} missing in between, {unreadable} bytes unreadable"
+    known = [damage.lost for damage in source.damage if damage.lost]
+    if known:
+        text += f", {sum(known)} messages known to have been in them"
+    if source.unplaced:
+        text += f"; {source.unplaced} are of channels that nothing describes any more"
+    return text
 
 
 def _free_name(path):
     """`path`, or the first of `path.1` and so on that does not exist yet."""
     number = 0
-    while (free := path if not number else path.with_name(f"{path.name}.{number}")).exists():
+    while os.path.lexists(free := path if not number else path.with_name(f"{path.name}.{number}")):
         number += 1
     return free
 
@@ -263,9 +291,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     status = 0
     for bag in parser.parse_args(argv).bag:
         try:
-            print("\n".join(recover(bag) or [f"{bag}: complete, nothing to recover"]), flush=True)
+            lines = recover(bag) or [f"{bag}: complete, nothing to recover"]
+            print("\n".join(map(one_line, lines)), flush=True)
         except TssError as error:
-            print(f"recover: {error}", file=sys.stderr)
+            print(f"recover: {one_line(error)}", file=sys.stderr)
             status = 1
     return status
 

@@ -7,60 +7,27 @@ whole bag of one whose recorder was killed.
 
 import os
 import time
-from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import yaml
+from mcap.records import Channel, Message, Schema
 from mcap.writer import CompressionType, Writer
 
 from tss_ros.bags.directory import lock, sync_directory
+from tss_ros.bags.metadata import NOTES, BagFile, dump, information, write_metadata
+from tss_ros.bags.records import LATCHED, TOPICS, pack_message, pack_topics
 from tss_ros.core import TssError
 
 #: Small chunks and frequent flushes bound what a killed recorder loses.
 CHUNK_BYTES = 256 * 1024
 FSYNC_PERIOD_S = 1.0
+#: Schemas and channels, which the format has once only, are written again after so many seconds.
+TOPICS_PERIOD_S = 60.0
 #: Free space [B] at which a recording ends: its index and what comes between two flushes fit.
 RESERVE_BYTES = 16 * 2**20
-#: Name of the MCAP metadata record, and of the custom_data in metadata.yaml, with the bag's notes.
-NOTES = "tss_ros"
 #: The same as a file is begun, for `recover`.
 FIRST_NOTES = "tss_ros_begun"
-
-
-@dataclass
-class BagFile:
-    """What metadata.yaml says about one file of a bag.
-
-    Attributes
-    ----------
-    name : str
-    counts : dict of str to int
-        Messages by topic.
-    first_ns, last_ns : int or None
-        Earliest and latest log time [ns].
-    """
-
-    name: str
-    counts: dict = field(default_factory=dict)
-    first_ns: int | None = None
-    last_ns: int | None = None
-
-    @property
-    def message_count(self) -> int:
-        """Messages of all topics."""
-        return sum(self.counts.values())
-
-    def add(self, topic: str, log_time_ns: int) -> None:
-        """Count one message."""
-        self.counts[topic] = self.counts.get(topic, 0) + 1
-        if self.first_ns is None:
-            self.first_ns = self.last_ns = log_time_ns
-        elif log_time_ns > self.last_ns:
-            self.last_ns = log_time_ns
-        elif log_time_ns < self.first_ns:
-            self.first_ns = log_time_ns
 
 
 class BagWriter:
@@ -80,6 +47,8 @@ class BagWriter:
     ----------
     notes : dict of str to str
         Written into each file as it is completed, and into metadata.yaml.
+    is_complete : bool
+        Whether the bag is.
 
     Raises
     ------
@@ -93,6 +62,7 @@ class BagWriter:
         self.directory = Path(directory)
         self.notes = {"recorder": f"tss_ros {version('tss_ros')}", "ros_distro": ros_distro}
         self.message_count = 0
+        self.is_complete = False
         self._ros_distro = ros_distro
         self._split_bytes, self._split_s = split_bytes, split_s
         self._topics = []
@@ -172,6 +142,11 @@ class BagWriter:
         if self._ended:
             return
         try:
+            if not self._repeated:
+                self._repeat_topics()
+            if self._is_latched(channel):  # a description that is lost makes steps worth nothing
+                message = Message(channel, log_time_ns, data, publish_time_ns, sequence)
+                self._writer.add_metadata(LATCHED, pack_message(message))
             self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
             raise self._failure(error) from error
@@ -191,22 +166,40 @@ class BagWriter:
         try:
             self._writer.flush()
             now = time.monotonic()
+            if self._repeated == 1 or now - self._topics_written > TOPICS_PERIOD_S:
+                self._repeat_topics()
             if now - self._synced > FSYNC_PERIOD_S:
                 os.fsync(self._file.fileno())
                 self._synced = now
             size = self._file.tell()
             if (0 < self._split_bytes <= size) or (0 < self._split_s <= now - self._begun):
-                self._finish_file()
-                self._begin_file()
+                self.next_file()
             disk = os.fstatvfs(self._file.fileno())
         except OSError as error:
             raise self._failure(error) from error
         if disk.f_bavail * disk.f_frsize < RESERVE_BYTES + size // 100:
+            self.close()  # which says so where it fails
             raise TssError(
                 f"{self.path}: the disk is nearly full, so the recording ends here, complete"
             )
         if not self._is_in_place():
             raise TssError(f"{self.path} was moved or removed while it was recorded")
+
+    def next_file(self) -> None:
+        """Complete the file and begin the next one, as for a new run: log times may go back.
+
+        Raises
+        ------
+        TssError
+            If the disk does not take it.
+        """
+        if self._ended:
+            return
+        try:
+            self._finish_file()
+            self._begin_file()
+        except OSError as error:
+            raise self._failure(error) from error
 
     def close(self) -> None:
         """Complete the bag: indexes, summary, metadata.yaml. After a failure, do nothing.
@@ -222,6 +215,7 @@ class BagWriter:
             if in_place:
                 topics = [topic for topic, _ in self._topics]
                 write_metadata(self.directory, self._files, topics, self._ros_distro, self.notes)
+                self.is_complete = True
         except OSError as error:
             raise self._failure(error) from error
         finally:
@@ -233,22 +227,33 @@ class BagWriter:
         self._files.append(BagFile(name))
         self._begun = time.monotonic()
         self._synced = self._begun - FSYNC_PERIOD_S
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start(profile="ros2")
+        self._repeated, self._topics_written = 0, self._begun
+        self._schemas, self._channels = [], []
+        self._writer = begin(self._file)
         self._writer.add_metadata(FIRST_NOTES, self.notes)
         for topic, definition in self._topics:
             self._register(topic, definition)
         sync_directory(self.directory)
 
+    def _is_latched(self, channel):
+        (qos,) = self._topics[channel - 1][0]["offered_qos_profiles"]
+        return qos.get("durability") == "transient_local"
+
+    def _repeat_topics(self):
+        """Write schemas and channels outside of chunks: before the first one, behind it, and on."""
+        self._writer.add_metadata(TOPICS, pack_topics(self._schemas, self._channels))
+        self._repeated += 1
+        self._topics_written = time.monotonic()
+
     def _register(self, topic, definition):
         schema = self._writer.register_schema(topic["type"], "ros2msg", definition.encode())
         qos, type_hash = topic["offered_qos_profiles"], topic["type_description_hash"]
-        return self._writer.register_channel(
-            topic["name"],
-            "cdr",
-            schema,
-            {"offered_qos_profiles": _dump(qos), "topic_type_hash": type_hash},
-        )
+        metadata = {"offered_qos_profiles": dump(qos), "topic_type_hash": type_hash}
+        channel = self._writer.register_channel(topic["name"], "cdr", schema, metadata)
+        self._schemas.append(Schema(schema, definition.encode(), "ros2msg", topic["type"]))
+        self._channels.append(Channel(channel, topic["name"], "cdr", metadata, schema))
+        self._repeated = 0
+        return channel
 
     def _finish_file(self):
         file = self._files[-1]
@@ -272,6 +277,15 @@ class BagWriter:
         )
 
 
+def begin(stream: BinaryIO) -> Writer:
+    """A writer of chunks and checksums, as files of bags have them."""
+    writer = Writer(
+        stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
+    )
+    writer.start(profile="ros2")
+    return writer
+
+
 def finish(
     writer: Writer,
     stream: BinaryIO,
@@ -293,83 +307,11 @@ def finish(
     ros_distro : str
     notes : dict of str to str
     """
-    information = _information([file], topics, ros_distro, notes)
+    said = information([file], topics, ros_distro, notes)
     writer.flush()  # else the metadata would precede the messages they speak of
-    writer.add_metadata("rosbag2", {"serialized_metadata": _dump(information)})
+    writer.add_metadata("rosbag2", {"serialized_metadata": dump(said)})
     writer.add_metadata(NOTES, notes)
     writer.finish()
     stream.flush()
     os.fsync(stream.fileno())
     stream.close()
-
-
-def write_metadata(
-    directory: Path,
-    files: list[BagFile],
-    topics: list[dict[str, Any]],
-    ros_distro: str,
-    notes: dict[str, str],
-) -> None:
-    """Write a bag's metadata.yaml, which rosbag2 needs; whole or not at all.
-
-    Parameters
-    ----------
-    directory : Path
-    files : list of BagFile
-    topics, ros_distro, notes
-        As for `finish`.
-    """
-    text = _dump({"rosbag2_bagfile_information": _information(files, topics, ros_distro, notes)})
-    fresh = directory / ".metadata.yaml"
-    with fresh.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    fresh.replace(directory / "metadata.yaml")
-    sync_directory(directory)
-
-
-def _information(files, topics, ros_distro, notes):
-    """rosbag2's bag information, version 9."""
-    spans = [_span(file.message_count, file.first_ns, file.last_ns) for file in files]
-    firsts = [file.first_ns for file in files if file.first_ns is not None]
-    lasts = [file.last_ns for file in files if file.last_ns is not None]
-    total = sum(file.message_count for file in files)
-    return {
-        "version": 9,
-        "storage_identifier": "mcap",
-        "relative_file_paths": [file.name for file in files],
-        **_span(total, min(firsts, default=None), max(lasts, default=None)),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": topic,
-                "message_count": sum(file.counts.get(topic["name"], 0) for file in files),
-            }
-            for topic in topics
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "files": [{"path": file.name, **span} for file, span in zip(files, spans)],
-        "custom_data": {f"{NOTES}.{key}": value for key, value in notes.items()} or None,
-        "ros_distro": ros_distro,
-    }
-
-
-def _span(message_count, first_ns, last_ns):
-    first_ns = 0 if first_ns is None else first_ns
-    return {
-        "starting_time": {"nanoseconds_since_epoch": first_ns},
-        "duration": {"nanoseconds": (first_ns if last_ns is None else last_ns) - first_ns},
-        "message_count": message_count,
-    }
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """Writes every dict out: other YAML readers of bags do not follow anchors."""
-
-    def ignore_aliases(self, data):
-        return True
-
-
-def _dump(data):
-    return yaml.dump(data, Dumper=_PlainDumper, sort_keys=False)

@@ -5,34 +5,53 @@ from tss_ros.core.model.configurations import averaged_state, deviation, disturb
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
 from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
+from tss_ros.core.stability.family import SPECIAL_KINDS, Family, FamilyPoint, SpecialPoint
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.follow import follow
+from tss_ros.core.stability.mode_shapes import (
+    DIRECTIONS,
+    Mode,
+    ModeMotion,
+    compute_modes,
+    mode_motion,
+)
 from tss_ros.core.stability.modes import FAMILIES
 from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
-from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
+from tss_ros.core.stability.resonances import name_resonance
+from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 
 __all__ = [
     "CAUSES",
+    "DIRECTIONS",
     "FAMILIES",
     "FORMATIONS",
     "LAW_PARAMETERS",
     "METHODS",
+    "SPECIAL_KINDS",
+    "PARAMETERS",
     "TETHER_LAWS",
     "VERDICTS",
     "Cancelled",
     "ConfirmationJob",
     "Confirmation",
     "CriticalRate",
+    "Family",
+    "FamilyPoint",
     "FloquetResult",
     "IntegrationError",
     "CriticalRatesJob",
+    "Mode",
+    "ModeMotion",
     "NoSteadyState",
     "Propagator",
     "FloquetJob",
     "Satellite",
+    "SpecialPoint",
     "State",
     "System",
     "Tether",
@@ -40,17 +59,24 @@ __all__ = [
     "assemble",
     "averaged_state",
     "compute_floquet",
+    "compute_modes",
     "confirm",
     "deviation",
     "disturbed",
     "elastic_energy",
     "find_critical_rates",
+    "follow",
     "formation",
+    "in_words",
     "initial_state",
+    "mode_motion",
+    "name_resonance",
+    "parameter_of",
     "pushing_share",
     "ring",
     "sweep",
     "tether_state",
+    "with_parameter",
 ]
 
 #: Old names of jobs, kept for one release.

@@ -21,7 +21,7 @@ VERDICT_STYLES = {
     "asymptotically stable": {"marker": "o", "color": "#0072B2"},
     "neutral": {"marker": "s", "color": "#009E73"},
     "unstable": {"marker": "X", "color": "#D55E00"},
-    "no periodic motion": {"marker": "v", "color": "#555555"},
+    "none found": {"marker": "v", "color": "#555555"},
     "undecided": {"marker": "d", "color": "#CC79A7"},
 }
 INK = "#333333"

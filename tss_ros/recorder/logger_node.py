@@ -6,94 +6,31 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.time import Time
-from tss_interfaces.msg import RecorderStatus
+from tss_interfaces.msg import RecorderStatus, SimulationStatus
 
-from tss_ros.bags.cdr import stamp_ns, step_number
+from tss_ros.bags.cdr import step_number
+from tss_ros.bags.records import BagError
 from tss_ros.bags.recover import find_cut
+from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
+from tss_ros.recorder.recorded_topic import RecordedTopic
+from tss_ros.recorder.run_order import RunOrder
+from tss_ros.recorder.simulators import Simulators, is_told
+from tss_ros.recorder.watch import Watch
 from tss_ros.ros import diagnostics, parameters
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import Topic, read_topics
+from tss_ros.ros.topics import read_topics
 from tss_ros.ros.words import check_words
 
-#: A topic with more messages than this waiting lets the others have their turn.
-DRAIN_LIMIT = 50
 FLUSH_PERIOD_S = 0.25
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
-
-
-class RecordedTopic:
-    """A subscription to serialised messages whose callback takes all that wait, not one at a time.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    topic : Topic
-    writer : BagWriter
-    on_message : callable
-        Called with this object, the serialised message and its middleware information.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        topic: Topic,
-        writer: BagWriter,
-        on_message: Callable[["RecordedTopic", bytes, dict[str, Any]], None],
-    ) -> None:
-        self.name = topic.name
-        self.stamp_offset = topic.stamp_offset
-        self.of_simulator = topic.publisher == "sim_node"
-        self.every_step = self.of_simulator and topic.durability == "volatile"
-        self.lost = 0
-        self._depth = topic.depth
-        self._message_class = topic.message_class
-        self._on_message = on_message
-        self._next_number = None
-        self.newest, self.newest_ns = None, None
-        self.subscription = node.create_subscription(
-            topic.message_class, topic.name, self._take_waiting, topic.qos, raw=True
-        )
-        self.channel = writer.add_topic(
-            self.subscription.topic_name,
-            topic.type,
-            topic.definition,
-            topic.type_hash,
-            topic.offered_qos,
-        )
-
-    def count_lost(self, number: int | None) -> int:
-        """Return, and add up, the messages that were dropped before the one with this number.
-
-        Numbers that begin anew belong to a new publisher, and what was published before the first
-        message that arrived was never meant for this recorder.
-        """
-        if number is None:  # not every middleware counts
-            return 0
-        expected, self._next_number = self._next_number, number + 1
-        lost = number - expected if expected is not None and number > expected else 0
-        self.lost += lost
-        return lost
-
-    def take(self, limit: int | None = None) -> None:
-        """Handle the messages that wait, up to `limit` of them."""
-        for _ in range(limit or self._depth):
-            taken = self.subscription.handle.take_message(self._message_class, True)
-            if taken is None:
-                return
-            self._on_message(self, *taken)
-
-    def _take_waiting(self, data, info):
-        self._on_message(self, data, info)
-        self.take(DRAIN_LIMIT)
+LEFT_OUT = "left out of "
 
 
 class LoggerNode(TssNode):
@@ -119,16 +56,32 @@ class LoggerNode(TssNode):
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0
         self._topics = [
-            RecordedTopic(self, topic, self._writer, self._on_message)
+            RecordedTopic(self, topic, self._on_messages, self._on_malformed)
             for topic in topics.values()
             if topic.recorded
         ]
+        self._channels = {
+            topic: self._writer.add_topic(
+                topic.full_name,
+                topic.topic.type,
+                topic.topic.definition,
+                topic.topic.type_hash,
+                topic.topic.offered_qos,
+            )
+            for topic in self._topics
+        }
+        (self._descriptions,) = (t for t in self._topics if t.name == "system_description")
+        self._order = RunOrder(self._descriptions, self._record, self._begin_run)
+        self._simulators = Simulators(self, self.get_logger())
+        self._watch = Watch(self._topics, self.get_logger())
+        reports = topics["simulation_status"]
+        self._reports = RecordedTopic(self, reports, self._on_reports, self._on_malformed)
         self._status = self.create_publisher(
             RecorderStatus, "recorder_status", topics["recorder_status"].qos
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._note_lost()
-        self.every(FLUSH_PERIOD_S, self._writer.flush)
+        self.every(FLUSH_PERIOD_S, self._flush)
         self.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self._stopping = threading.Event()
         # Not a timer of the executor: a recorder that waits for its disk must be heard, too.
@@ -149,8 +102,9 @@ class LoggerNode(TssNode):
         self._stopping.set()
         if self._recovery:
             self._recovery.terminate()  # the next start begins it anew
-        for topic in self._topics:
-            topic.take()
+        self._on_messages([message for topic in self._topics for message in topic.waiting()])
+        self._order.release(at_once=True)
+        self._note_lost()
         self._writer.close()
         self._reporter.join(timeout=0.5)
         if self._live:
@@ -159,16 +113,31 @@ class LoggerNode(TssNode):
             f"{self._writer.path}: {self._writer.message_count} messages, {self._lost} lost",
             flush=True,
         )
+        if self._writer.is_complete:
+            faults = check_quickly(self._writer.directory, self._writer.message_count)
+            if faults:
+                raise BagError(f"{self._writer.directory} is not as it was written: {faults[0]}")
 
     @property
     def _lost(self):
         return sum(topic.lost for topic in self._topics)
 
+    def _flush(self):
+        self._order.release()
+        self._writer.flush()
+
     def _note_lost(self):
         """Keep what the bag will say about losses up to date."""
-        self._writer.notes["lost"] = str(self._lost)
+        notes = self._writer.notes
+        for name in [name for name in notes if name.startswith(LEFT_OUT)]:
+            del notes[name]  # the names of simulators may have become known meanwhile
+        notes["lost"] = str(self._lost)
         for topic in self._topics:
-            self._writer.notes[f"lost {topic.subscription.topic_name}"] = str(topic.lost)
+            notes[f"lost {topic.full_name}"] = str(topic.lost)
+            if topic.malformed:
+                notes[f"malformed {topic.full_name}"] = str(topic.malformed)
+        for name, count in self._simulators.left_out.items():
+            notes[LEFT_OUT + name] = str(count)
 
     def _recover(self, cut):
         """Recover bags in a process of its own, which does not slow the recording down."""
@@ -182,11 +151,39 @@ class LoggerNode(TssNode):
         for line in self._recovery.communicate()[0].splitlines():
             self.get_logger().warning(line)
 
-    def _on_message(self, topic, data, info):
-        if topic.stamp_offset is not None:
-            self._newest_ns = topic.newest_ns = stamp_ns(data, topic.stamp_offset)
-        number = info["publication_sequence_number"]
-        if lost := topic.count_lost(number):
+    def _on_malformed(self, topic, reason):
+        if topic in self._topics:
+            self._note_lost()
+        if is_told(topic.malformed):
+            self.get_logger().error(
+                f"malformed message of {topic.full_name} left out, {topic.malformed} so far: "
+                f"{reason}"
+            )
+
+    def _on_reports(self, messages):
+        for _, taken in messages:
+            self._simulators.heard(taken.sender)
+            self._watch.on_status(deserialize_message(taken.data, SimulationStatus))
+
+    def _on_messages(self, messages):
+        # A description is sent before all else of its run, so it is here by now.
+        messages += self._descriptions.waiting()
+        if any(message.topic is self._descriptions for message in messages):
+            messages.sort(key=lambda message: message.taken.sent_ns)
+        for message in self._simulators.recorded(messages):
+            self._order.add(message)
+        self._order.release()
+
+    def _begin_run(self):
+        self._writer.next_file()
+        self._incomplete.clear()
+
+    def _record(self, message):
+        topic, taken = message
+        data = taken.data
+        if (time_ns := topic.time_ns(data)) is not None:
+            self._newest_ns = topic.newest_ns = time_ns
+        if lost := topic.count_lost(taken):
             self._note_lost()
             self.get_logger().warning(
                 f"{lost} messages of {topic.name} were lost, {self._lost} in all"
@@ -194,8 +191,9 @@ class LoggerNode(TssNode):
         if topic.every_step and data == topic.newest:
             return  # a simulator that stands still repeats it for those who come late
         topic.newest = data
-        sent_ns = info["source_timestamp"]
-        self._writer.write(topic.channel, data, self._newest_ns, sent_ns, (number or 0) % 2**32)
+        self._writer.write(
+            self._channels[topic], data, self._newest_ns, taken.sent_ns, (taken.number or 0) % 2**32
+        )
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
@@ -237,6 +235,8 @@ class LoggerNode(TssNode):
                 raise
 
     def _diagnose(self):
+        self._watch.look()
+        self._note_lost()
         self._diagnostics.publish(
             diagnostics.of_recorder(
                 self.get_fully_qualified_name(),
@@ -244,6 +244,7 @@ class LoggerNode(TssNode):
                 str(self._writer.path),
                 self._writer.message_count,
                 self._writer.notes,
+                self._watch.complaint,
             )
         )
 

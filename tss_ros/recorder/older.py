@@ -5,9 +5,10 @@ from collections.abc import Callable
 from typing import Any
 
 from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
 
 from tss_ros.bags.older import UNSAID
+from tss_ros.bags.reader import decoded
+from tss_ros.bags.records import BagError
 from tss_ros.ros.topics import base_type, definition, message_class, used_types
 
 
@@ -26,10 +27,18 @@ def converter(schema: Schema) -> Callable[[bytes], Any]:
         bag was made, a message of today's.
     """
     known = schema.name.startswith("tss_interfaces/") and schema.encoding == "ros2msg"
-    if not known or _bare(schema.data.decode()) == _bare(definition(schema.name)):
+    if not known or not schema.data.strip():
         return lambda data: data
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    return lambda data: _renewed(schema.name, decode(data))
+    if _bare(schema.data.decode(errors="replace")) == _bare(definition(schema.name)):
+        return lambda data: data
+
+    def renew(data):
+        try:
+            return _renewed(schema.name, decoded(schema, data))
+        except (TypeError, AssertionError, OverflowError, ValueError) as error:
+            raise BagError(f"a message of {schema.name} is not one: {error}") from error
+
+    return renew
 
 
 def _renewed(type_name, decoded):

@@ -2,25 +2,37 @@
 
 import argparse
 import heapq
+import itertools
 import math
 import sys
 import threading
 import time
 from pathlib import Path
 
-import yaml
+from ament_index_python.packages import get_package_share_directory
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from tss_ros.bags.reader import bag_files, indexed_reader, open_complete
+from tss_ros.bags.directory import find_files
+from tss_ros.bags.mcap_file import McapFile
+from tss_ros.bags.recording import damage_in_words
+from tss_ros.bags.records import BagError
 from tss_ros.command_line import Parser
+from tss_ros.core import TssError
 from tss_ros.recorder.older import converter
 from tss_ros.ros import messages
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import CLOCK_RATE_HZ, message_class
+from tss_ros.ros.topics import CLOCK_RATE_HZ, MAX_DEPTH, message_class
+from tss_ros.scenarios.files import load_yaml
+
+RCLError = rclpy_implementation.RCLError
+#: ROS has 31 bits for seconds.
+LATEST_NS = 2**31 * 10**9
 
 #: Messages that are put into order: as many as wait for a recorder at most, in all topics.
 LOOKAHEAD = 8000
@@ -41,18 +53,18 @@ class PlayNode(TssNode):
         super().__init__("play")
         self._options = options
         self._publisher, self._latched, self._renew = {}, set(), {}
-        for file in bag_files(options.bag):
-            for channel, schema in _channels(file).values():
-                if channel.topic in self._publisher:
-                    continue
-                qos = _qos(channel)
-                self._renew[channel.topic] = converter(schema)
-                self._publisher[channel.topic] = self.create_publisher(
-                    message_class(schema.name), channel.topic, qos
-                )
-                if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                    self._latched.add(channel.topic)
-        self._clock = self.create_publisher(Clock, "/clock", 1)
+        self._files, self._left_out = find_files(options.bag), {}
+        for path in self._files.paths:
+            with McapFile(path) as file:
+                file.find_channels()
+                for channel in file.channels.values():
+                    if channel.topic not in (*self._publisher, *self._left_out):
+                        self._offer(path, channel, file.schemas.get(channel.schema_id))
+        for topic, reason in self._left_out.items():
+            self.get_logger().warning(f"{topic!r:.200} is not played: {reason}")
+        # A bag that has a clock of its own is played by that one.
+        own = "/clock" in self._publisher
+        self._clock = None if own else self.create_publisher(Clock, "/clock", 1)
         self._clock_due = -math.inf
         self._stopping, self._playing = threading.Event(), threading.Event()
         if not options.paused:
@@ -61,6 +73,24 @@ class PlayNode(TssNode):
         self.get_logger().info(
             f"playing {options.bag} at {options.rate:g} times simulation time; service ~/pause"
         )
+
+    def _offer(self, path, channel, schema):
+        """Make the publisher of a topic, or say why there is none."""
+        kind = _class_of(schema.name) if schema else None
+        if kind is None or channel.message_encoding != "cdr":
+            name = schema.name if schema else "nothing that the file describes"
+            self._left_out[channel.topic] = f"its type, {name!r:.200}, is not installed here"
+            return
+        try:
+            qos = _qos(path, channel)
+            publisher = self.create_publisher(kind, channel.topic, qos)
+        except (InvalidTopicNameException, RCLError) as error:
+            self._left_out[channel.topic] = " ".join(str(error).split())[:200]
+            return
+        self._renew[channel.topic] = converter(schema)
+        self._publisher[channel.topic] = publisher
+        if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._latched.add(channel.topic)
 
     def start(self) -> None:
         """Begin to play in a thread of its own."""
@@ -82,82 +112,102 @@ class PlayNode(TssNode):
     def _play(self):
         try:
             self._stopping.wait(self._options.delay)
-            count = sum(map(self._play_file, bag_files(self._options.bag)))
+            damage = list(self._files.damage)
+            count = sum(self._play_file(path, damage) for path in self._files.paths)
             deadline = time.monotonic() + LISTENER_FINISH_S
             for publisher in self._publisher.values():
                 left_s = max(0.0, deadline - time.monotonic())
                 publisher.wait_for_all_acked(Duration(seconds=left_s))
             if not self._stopping.is_set():
                 print(f"{self._options.bag}: {count} messages played", flush=True)
-                self.finish()
+                self.finish(BagError(damage_in_words(damage)) if damage else None)
         except Exception as error:
             if not self._stopping.is_set() and self.context.ok():
                 self.finish(error)
 
-    def _play_file(self, file):
+    def _play_file(self, path, damage):
         count, begun, last_ns = 0, None, -1
-        with file.open("rb") as stream:
-            reader, _ = indexed_reader(stream)
-            for topic, message in _as_published(reader):
+        with McapFile(path) as file:
+            for topic, log_time, data in _as_published(file, self._publisher):
                 if self._stopping.is_set():
                     break
-                if message.log_time < self._options.start * 1e9:
+                if log_time < self._options.start * 1e9:
                     if topic in self._latched:
-                        self._publish(topic, message.data)
+                        self._publish(topic, data)
                         count += 1
                     continue
-                if begun is None or message.log_time < last_ns or not self._playing.is_set():
+                if begun is None or log_time < last_ns or not self._playing.is_set():
                     self._playing.wait()
-                    begun = (time.monotonic(), message.log_time)
-                last_ns = max(message.log_time, begun[1])
-                simulated_s = (message.log_time - begun[1]) / 1e9
+                    begun = (time.monotonic(), log_time)
+                last_ns = max(log_time, begun[1])
+                simulated_s = (log_time - begun[1]) / 1e9
                 wait_s = begun[0] + simulated_s / self._options.rate - time.monotonic()
-                if wait_s > 0 and self._stopping.wait(wait_s):
+                if wait_s > 0 and self._stopping.wait(min(wait_s, threading.TIMEOUT_MAX)):
                     break
-                self._publish(topic, message.data)
+                self._publish(topic, data)
                 count += 1
                 now = time.monotonic()
-                if now >= self._clock_due:
-                    self._clock.publish(messages.clock(message.log_time))
+                if self._clock and now >= self._clock_due:
+                    self._clock.publish(messages.clock(log_time))
                     self._clock_due = now + 1.0 / CLOCK_RATE_HZ
+            damage += file.damage
         return count
 
     def _publish(self, topic, data):
         self._publisher[topic].publish(self._renew[topic](data))
 
 
-def _as_published(reader):
-    """Topic and message in the order of publication.
+def _as_published(file, topics):
+    """Topic, log time and data of the messages of some topics, in the order of publication.
 
     Simulation time does not tell it, as a bag may hold several runs, each of which begins at 0, and
     a recorder takes many messages of one topic before it turns to the next.
     """
-    waiting = []
-    messages = reader.iter_messages(log_time_order=False)
-    for i, (_, channel, message) in enumerate(messages):
-        heapq.heappush(waiting, (message.publish_time, i, channel.topic, message))
-        if len(waiting) > LOOKAHEAD:
+    waiting, number = [], itertools.count()
+    for batch in file.batches():
+        latest_ns = int(batch.heads["log_time"].max())
+        if latest_ns >= LATEST_NS:
+            raise BagError(
+                f"{str(file.path)!r} has a message of {latest_ns / 1e9:g} s; allowed: less than "
+                f"{LATEST_NS / 1e9:g} s"
+            )
+        for i, head in enumerate(batch.heads[["channel", "publish_time", "log_time"]].tolist()):
+            channel, publish_time, log_time = head
+            if (topic := file.channels[channel].topic) in topics:
+                entry = (publish_time, next(number), topic, log_time, batch.payload(i))
+                heapq.heappush(waiting, entry)
+        while len(waiting) > LOOKAHEAD:
             yield heapq.heappop(waiting)[2:]
     while waiting:
         yield heapq.heappop(waiting)[2:]
 
 
-def _channels(file):
-    """Channel and schema by channel number of a bag's file."""
-    with open_complete(file) as stream:
-        _, summary = indexed_reader(stream)
-    return {i: (c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()}
+def _class_of(type_name):
+    """The class of a type, if it is one of an installed package of ROS; nothing else is loaded."""
+    try:
+        package, _, name = type_name.split("/")
+        folder = Path(get_package_share_directory(package)) / "msg"
+        return message_class(type_name) if (folder / f"{name}.msg").is_file() else None
+    except (ValueError, LookupError, ImportError, AttributeError):
+        return None
 
 
-def _qos(channel):
+def _qos(path, channel):
     """The QoS a topic was recorded with; reliable and volatile if the bag does not say."""
-    profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [{}]
-    durability = profiles[0].get("durability", "volatile")
+    text = channel.metadata.get("offered_qos_profiles", "")
+    profile = {}
+    try:
+        profiles = load_yaml(text, f"the QoS of {channel.topic!r:.200} in {str(path)!r}")
+        profile = profiles[0] if profiles else {}
+        durability, depth = profile.get("durability", "volatile"), profile.get("depth", 10)
+    except (TssError, LookupError, TypeError, AttributeError) as error:
+        raise BagError(f"{str(path)!r}: QoS of {channel.topic!r:.200}: {error}") from None
     if not isinstance(durability, str):  # rosbag2 before version 9 wrote numbers
         durability = "transient_local" if durability == 1 else "volatile"
+    latched = durability == "transient_local"
     return QoSProfile(
-        depth=max(1, profiles[0].get("depth", 10)),
-        durability=DurabilityPolicy.get_from_short_key(durability),
+        depth=min(max(1, depth), MAX_DEPTH) if isinstance(depth, int) else 10,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 

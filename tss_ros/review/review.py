@@ -15,7 +15,9 @@ import numpy as np
 import rerun as rr
 from PIL import Image
 
+from tss_ros.bags.commands import told_of_damage
 from tss_ros.bags.recording import Recording, read_bag
+from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.review import viewer
@@ -257,7 +259,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     arguments = parser.parse_args(argv)
     try:
-        recordings = [read_bag(bag, arguments.run) for bag in arguments.bag]
+        recordings = [read_bag(bag, arguments.run, damaged=True) for bag in arguments.bag]
+        status = max([told_of_damage("review", *read) for read in zip(arguments.bag, recordings)])
         names = [bag.resolve().name for bag in arguments.bag]
         for bag, recording in zip(arguments.bag, recordings):
             if recording.runs > 1:
@@ -270,11 +273,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             if path is not None:
                 write(recordings, path, names)
                 print(path)
-                return 0
+                return status
         (_show_in_browser if arguments.web else _show_in_viewer)(recordings, names)
     except TssError as error:
-        print(f"review: {error}", file=sys.stderr)
+        print(f"review: {one_line(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    return 0
+    return status

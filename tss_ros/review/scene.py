@@ -12,6 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from tss_ros.bags.recording import Recording
+from tss_ros.core import in_words
+from tss_ros.plots import mode_of
 from tss_ros.scenarios.laws import law_in_words
 
 APPLICATION = "tss_ros"
@@ -56,7 +58,7 @@ class Scene:
     def __init__(self, stream: rr.RecordingStream, recording: Recording, root: str = "") -> None:
         self.root = root
         self.turn_s = recording.turn_s
-        self.has_stability = False
+        self.has_stability, self.mode_title = False, ""
         self._stream = stream
         self._satellites = np.flatnonzero(recording.is_satellite)
         self._others = np.flatnonzero(~recording.is_satellite)
@@ -93,10 +95,41 @@ class Scene:
 
     def send_stability(self, results: Iterable[Any]) -> None:
         """Show messages FloquetResult as a table, instead of those sent before."""
-        self.has_stability = True
+        self.has_stability, results = True, list(results)
         text = stability_table(results)
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._stream.log(f"{self.root}stability", document, static=True)
+        shown = [result for result in results if result.mode]
+        if shown:
+            self._send_mode(mode_of(shown[-1]))
+
+    def _send_mode(self, mode):
+        """Show a mode in the frame that turns with the formation, from the start of the run."""
+        self.mode_title = " ".join(mode.title.split())
+        size_m = np.max(np.linalg.norm(self._last_position_m, axis=-1))
+        when = [
+            rr.TimeColumn("sim_time", duration=mode.turns * self.turn_s),
+            rr.TimeColumn("milliturns", sequence=np.rint(1e3 * mode.turns).astype(int)),
+        ]
+        moved = size_m * (mode.place + mode.shift)
+        rest = size_m * mode.place[0][mode.tether_ends]
+        self._log("mode", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+        self._log("mode/undisturbed", rr.LineStrips3D(rest, colors=SLACK, radii=SLACK_WIDTH))
+        beads = rr.Points3D.columns(positions=moved.reshape(-1, 3)).partition(_lengths(moved))
+        self._stream.send_columns(f"{self.root}mode/beads", when, beads)
+        strips = moved[:, mode.tether_ends]
+        tethers = rr.LineStrips3D.columns(strips=strips.reshape(-1, 2, 3))
+        self._stream.send_columns(
+            f"{self.root}mode/tethers", when, tethers.partition(_lengths(strips))
+        )
+        self._log(
+            "mode/beads",
+            rr.Points3D.from_fields(
+                colors=_colours(range(moved.shape[1])), radii=rr.Radius.ui_points(6)
+            ),
+        )
+        style = rr.LineStrips3D.from_fields(colors=TYPICAL_TENSION, radii=TETHER_WIDTH)
+        self._log("mode/tethers", style)
 
     def _send_formation(self, when, recording, steps):
         position_m, taut = recording.position_m[steps], recording.taut[steps]
@@ -201,9 +234,17 @@ def layout(scenes: Sequence[Scene], titles: Sequence[str]) -> rrb.Blueprint:
         if scene.has_stability:
             origin = f"{scene.root}stability"
             views.append(rrb.TextDocumentView(origin=origin, name="Stability results"))
+        if scene.mode_title:
+            eye = _eye(scene, 1.3)
+            views.append(
+                rrb.Spatial3DView(
+                    origin=f"{scene.root}mode", name=scene.mode_title, line_grid=False,
+                    eye_controls=eye,
+                )
+            )  # fmt: skip
         plots = rrb.Vertical(*(_plot_view(scene, plot) for plot in PLOTS))
         if len(scenes) == 1:
-            left = rrb.Vertical(*views, row_shares=[3, 1][: len(views)])
+            left = rrb.Vertical(*views, row_shares=[3, 1, 2][: len(views)])
             columns.append(rrb.Horizontal(left, plots, column_shares=(3, 2)))
         else:
             columns.append(rrb.Vertical(rrb.Tabs(*views), plots, row_shares=(2, 3)))
@@ -232,17 +273,22 @@ def _formation_view(scene, title):
             ),
         ]
     )
-    eye = rrb.EyeControls3D(
-        position=(0, -0.6 * scene.reach_m, 2.2 * scene.reach_m),
-        look_target=(0, 0, 0),
-        eye_up=(0, 1, 0),
-    )
+    eye = _eye(scene, 0.6)
     return rrb.Spatial3DView(
         origin=f"{scene.root}formation",
         overrides=dict.fromkeys(scene.trails.values(), trail),
         line_grid=False,
         name=title,
         eye_controls=eye,
+    )
+
+
+def _eye(scene, below):
+    """Where a formation is seen from: the orbit's north, and so far below, over its reach."""
+    return rrb.EyeControls3D(
+        position=(0, -below * scene.reach_m, 2.2 * scene.reach_m),
+        look_target=(0, 0, 0),
+        eye_up=(0, 1, 0),
     )
 
 
@@ -260,12 +306,13 @@ def _plot_view(scene, plot):
 
 def stability_table(results: Iterable[Any]) -> str:
     """Messages FloquetResult as a Markdown table, by rate."""
-    rows = ["| rate/Omega | max modulus | of shape and tilt | verdict | tether law |"]
+    rows = ["| rate/Omega | max modulus | decided by | verdict | tether law |"]
     rows.append("|---:|---:|---:|---|---|")
     for r in sorted(results, key=lambda result: result.spin_rate_ratio):
         verdict = r.verdict or r.message
+        decided = in_words(r.deciding_family, r.deciding_modulus, r.closure_residual)
         rows.append(
-            f"| {r.spin_rate_ratio:.5g} | {r.max_modulus:.6f} | {r.max_modulus_nontrivial:.6f} "
+            f"| {r.spin_rate_ratio:.5g} | {r.max_modulus:.6f} | {decided} "
             f"| {verdict} | {law_in_words(r.tether_law, r.pushing_share)} |"
         )
     return "\n".join(rows)

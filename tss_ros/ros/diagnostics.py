@@ -62,7 +62,7 @@ def of_simulator(
 
 
 def of_recorder(
-    name: str, stamp: Time, path: str, messages: int, notes: dict[str, str]
+    name: str, stamp: Time, path: str, messages: int, notes: dict[str, str], complaint: str
 ) -> DiagnosticArray:
     """Diagnostics of a recorder.
 
@@ -77,6 +77,8 @@ def of_recorder(
         Written so far.
     notes : dict of str to str
         What the bag will say; "lost" among them, the messages lost so far.
+    complaint : str
+        Why nothing arrives; empty if all is well.
 
     Returns
     -------
@@ -84,6 +86,8 @@ def of_recorder(
     """
     lost = int(notes["lost"])
     level, text = DiagnosticStatus.OK, "nothing lost"
+    if complaint:
+        level, text = DiagnosticStatus.WARN, complaint
     if lost:
         level, text = DiagnosticStatus.ERROR, f"{lost} messages were lost"
     values = {"output": path, "messages": str(messages), **notes}

@@ -1,8 +1,7 @@
-"""Between the core's arrays and ROS messages; nothing else knows both."""
+"""Between the core's arrays and ROS messages; those of stability are in `stability_messages`."""
 
 import array
 import json
-import math
 import platform
 import sys
 from importlib.metadata import version
@@ -16,9 +15,6 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from tss_interfaces.msg import (
     BeadStates,
-    Confirmation,
-    CriticalRate,
-    FloquetResult,
     Result,
     SimulationEvent,
     SimulationState,
@@ -92,19 +88,19 @@ def system_description(
         scenario=options["scenario"],
         bead_name=list(system.bead_name),
         is_satellite=system.is_satellite.tolist(),
-        mass_kg=_doubles(system.mass_kg),
+        mass_kg=doubles(system.mass_kg),
         tether_name=list(system.tether_name),
         tether_ends=array.array("I", system.tether_ends.ravel().tolist()),
-        rest_length_m=_doubles(system.rest_length_m),
-        axial_stiffness_n=_doubles(system.axial_stiffness_n),
-        damping_n_s_per_m=_doubles(system.damping_n_s_per_m),
+        rest_length_m=doubles(system.rest_length_m),
+        axial_stiffness_n=doubles(system.axial_stiffness_n),
+        damping_n_s_per_m=doubles(system.damping_n_s_per_m),
         tether_law=system.tether_law,
         law_parameter_name=list(system.law_parameters),
-        law_parameter=_doubles(list(system.law_parameters.values())),
+        law_parameter=doubles(list(system.law_parameters.values())),
         orbit_altitude_m=system.orbit_altitude_m,
         orbit_rate_rad_s=system.orbit_rate_rad_s,
         spin_rate_ratio=spin_rate_ratio,
-        reference_radius_m=_doubles(reference_radius_m),
+        reference_radius_m=doubles(reference_radius_m),
         disturbance_m=options["disturbance_m"],
         disturbance_seed=options["disturbance_seed"],
         publish_period_s=options["publish_period_s"],
@@ -251,9 +247,9 @@ class StepMessages:
         message = self._bead_states
         self._header.stamp = stamp(time_ns)
         message.step = step
-        message.position_m = _doubles(position_m)
-        message.velocity_m_s = _doubles(velocity_m_s)
-        message.deviation = _doubles(deviation)
+        message.position_m = doubles(position_m)
+        message.velocity_m_s = doubles(velocity_m_s)
+        message.deviation = doubles(deviation)
         return message
 
     def tether_states(
@@ -263,8 +259,8 @@ class StepMessages:
         message = self._tether_states
         self._header.stamp = stamp(time_ns)
         message.step = step
-        message.length_m = _doubles(length_m)
-        message.tension_n = _doubles(tension_n)
+        message.length_m = doubles(length_m)
+        message.tension_n = doubles(tension_n)
         message.taut = taut.tolist()
         return message
 
@@ -274,9 +270,9 @@ class StepMessages:
         """JointState: length [m] as position, its rate [m/s] as velocity, tension [N] as effort."""
         message = self._tether_lengths
         self._header.stamp = stamp(time_ns)
-        message.position = _doubles(length_m)
-        message.velocity = _doubles(rate_m_s)
-        message.effort = _doubles(tension_n)
+        message.position = doubles(length_m)
+        message.velocity = doubles(rate_m_s)
+        message.effort = doubles(tension_n)
         return message
 
     def bead_cloud(
@@ -342,47 +338,6 @@ class StepMessages:
         return marker
 
 
-def floquet_result(
-    result: core.FloquetResult, confirmation: core.Confirmation | None = None
-) -> FloquetResult:
-    """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
-    return FloquetResult(
-        multiplier_real=_doubles(result.multiplier.real),
-        multiplier_imag=_doubles(result.multiplier.imag),
-        confirmation=[_same_fields(Confirmation, confirmation)] if confirmation else [],
-        **{
-            name: getattr(result, name)
-            for name in FloquetResult.get_fields_and_field_types()
-            if not name.startswith(("multiplier", "confirmation"))
-        },
-    )
-
-
-def failed_floquet_result(
-    system: core.System, spin_rate_ratio: float, message: str
-) -> FloquetResult:
-    """The message for a rate that could not be computed: NaN wherever there is no number."""
-    kinds = FloquetResult.get_fields_and_field_types()
-    unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
-    known = {
-        "spin_rate_ratio": spin_rate_ratio,
-        "spin_rate_rad_s": spin_rate_ratio * system.orbit_rate_rad_s,
-        "tether_law": system.tether_law,
-    }
-    return FloquetResult(message=message, **{**unknown, **known})
-
-
-def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
-    """A core CriticalRate of a system as a message; fields have the same names."""
-    return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
-
-
-def _same_fields(kind, value, **others):
-    """A message with the fields of `value`, and others by name."""
-    names = kind.get_fields_and_field_types()
-    return kind(**{n: others[n] if n in others else getattr(value, n) for n in names})
-
-
-def _doubles(values):
+def doubles(values: np.ndarray | list[float]) -> array.array:
     """A flat float64[]; filling a message from array.array skips its element-by-element checks."""
     return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

@@ -26,6 +26,7 @@ from rclpy.service import Service
 from rclpy.task import Future
 
 from tss_ros.core import TssError
+from tss_ros.ros.network import joined, stay_on_this_machine
 
 #: Longest time [s] between the end of the context by a signal and the call of our handler.
 HANDLER_DELAY_S = 0.5
@@ -170,8 +171,7 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
     node_class : type
         Subclass of TssNode, made without arguments.
     """
-    # Nobody else on the network sees or drives a simulation unless the user asks for it.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     # rclpy's handlers, installed by init, shut the context down and then call these: the executor
     # ends between two callbacks, and no KeyboardInterrupt tears a message that is being written.
     told_to_stop = threading.Event()
@@ -185,7 +185,8 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
         rclpy.init()
         set_logger_level("rcl", LoggingSeverity.UNSET)
         executor = SingleThreadedExecutor()
-        node = node_class()
+        with joined():
+            node = node_class()
         executor.add_node(node)
         node.start()
         # Not spin(): rclpy's handler may wake the executor before it has shut the context down.

@@ -119,7 +119,16 @@ SIMULATOR = (
         "Publish nothing until a recorder is recording and receives every recorded topic",
         default=False,
     ),
+    Parameter(
+        "recorder_patience_s", float,
+        "How long a recorder that gets no further may hold the simulator", "s",
+        minimum=0.0, maximum=1e6, default=60.0, note="0: it waits for no recorder",
+    ),
     Parameter("start_paused", bool, "Publish the initial state and pause there", default=False),
+    Parameter(
+        "service_folder", str, "Folder of the snapshots and scenarios that services may name",
+        default="service_files", note="/: any file of this user",
+    ),
     Parameter(
         "publish_clock", bool, "Publish /clock", default=True,
         note="of several simulators in one graph only one may",

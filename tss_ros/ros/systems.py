@@ -6,7 +6,7 @@ import rcl_interfaces.msg
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-from tss_ros.core import System, TssError
+from tss_ros.core import State, System, TssError
 from tss_ros.ros import parameters
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import MAX_BEADS
@@ -90,7 +90,7 @@ def read_overrides(messages: Iterable[rcl_interfaces.msg.Parameter]) -> dict[str
 
 def build_system(
     scenario_name: str, overrides: dict[str, object], max_beads: int = MAX_BEADS
-) -> tuple[System, float]:
+) -> tuple[System, float, State | None]:
     """Make the system of a scenario with some of its parameters overridden.
 
     Parameters
@@ -104,8 +104,8 @@ def build_system(
 
     Returns
     -------
-    tuple of System and float
-        The system and its spin rate ratio.
+    tuple of System, float and State or None
+        The system, its spin rate ratio, and the start that the scenario's own velocities make.
 
     Raises
     ------
@@ -119,4 +119,5 @@ def build_system(
             f"satellites and beads_per_tether make {system.n} satellites and beads; "
             f"allowed: at most {max_beads}"
         )
-    return system, overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
+    ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
+    return system, ratio, loaded.start(system)

@@ -134,6 +134,16 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
         raise TssError(f"qos_overrides of {topic.name}: {error}") from None
 
 
+def publishers(node: Node, topic: str) -> dict[bytes, str]:
+    """Who publishes a topic: full node name by GID, empty as long as it is not known."""
+    names = {}
+    for info in node.get_publishers_info_by_topic(topic):
+        known = "_UNKNOWN_" not in info.node_name
+        name = f"{info.node_namespace.rstrip('/')}/{info.node_name}" if known else ""
+        names[bytes(info.endpoint_gid)] = name
+    return names
+
+
 def _check_depth(qos):
     fits = 1 <= qos.depth <= MAX_DEPTH
     return SetParametersResult(

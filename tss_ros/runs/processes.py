@@ -20,6 +20,7 @@ from tss_interfaces.msg import RecorderStatus
 
 from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.core import Cancelled, TssError
+from tss_ros.ros.network import stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.ros.topics import read_topics
 from tss_ros.simulator.simulation import last_index
@@ -264,6 +265,7 @@ def run_command(name: str, work: Callable[[list[int]], None]) -> int:
     """
     # Such a command talks to nobody but its own nodes.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    stay_on_this_machine()
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     caught = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -195,6 +195,27 @@ def names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in parameters)
 
 
+def read_assignment(text: str) -> tuple[str, object]:
+    """Name and value from "name=1.5", "name=3", "name=1,2.5,3" or, for texts, "name=word".
+
+    Raises
+    ------
+    TssError
+        If it is none of these.
+    """
+    name, _, values = text.partition("=")
+    if any(parameter.name == name and parameter.type is str for parameter in SCENARIO):
+        return name, values
+    try:
+        numbers_given = [float(value) for value in values.strip("[]").split(",")]
+    except ValueError:
+        raise TssError(f"{text!r} must be NAME=NUMBER or NAME=NUMBER,NUMBER,...") from None
+    # 3 is a whole number and 3.0 is not, where one is wanted.
+    if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
+        numbers_given = [int(number) for number in numbers_given]
+    return name, numbers_given if "," in values else numbers_given[0]
+
+
 def _shown(value):
     if isinstance(value, bool):
         return str(value).lower()

@@ -15,14 +15,21 @@ any tether graph with `bodies` and `tethers`:
       - {between: [a, b], length_m: 10000.0, axial_stiffness_n: 50000.0, damping_n_s_per_m: 1450.0}
       - {between: [b, c], length_m: 5000.0, axial_stiffness_n: 50000.0, damping_n_s_per_m: 1450.0,
          bead_mass_kg: [1.0, 1.0]}
+
+Bodies may have a `velocity_m_s`, measured in the orbit frame, all of them or none. Then the motion
+starts from their positions and velocities instead of a steady state that is looked for.
 """
 
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.errors import near_match
+from tss_ros.core.model.configurations import InitialState
 from tss_ros.core.model.system import finite
 from tss_ros.scenarios import files
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
@@ -31,6 +38,7 @@ _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation")
 _PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
 _BODY = {"name", "mass_kg", "position_m"}
+_BODY_OPTIONAL = {"velocity_m_s"}
 _TETHER = {"between", "length_m", "axial_stiffness_n", "damping_n_s_per_m"}
 _TETHER_OPTIONAL = {"name", "bead_mass_kg"}
 
@@ -56,6 +64,7 @@ class Scenario:
     parameters: dict
     _bodies: tuple = field(default=(), repr=False)
     _tethers: tuple = field(default=(), repr=False)
+    _velocities: tuple = field(default=(), repr=False)
 
     @property
     def spin_rate_ratio(self) -> float:
@@ -107,6 +116,91 @@ class Scenario:
             system = formation(self.formation, **values)
         system.spin_rate_rad_s(ratio)
         return system
+
+    def start(self, system: System) -> InitialState | None:
+        """The start that the bodies' own velocities make; None if they have none.
+
+        Beads on a tether get what lies between the velocities of its ends.
+
+        Parameters
+        ----------
+        system : System
+            What `build` gave.
+
+        Returns
+        -------
+        InitialState or None
+        """
+        if not self._velocities:
+            return None
+        velocity = {body.name: np.array(v) for body, v in zip(self._bodies, self._velocities)}
+        for tether in self._tethers:
+            first, last = (velocity[self._bodies[end].name] for end in tether.ends)
+            along = np.cumsum(tether.length_m) / np.sum(tether.length_m)
+            for j in range(len(tether.bead_mass_kg)):
+                velocity[f"{tether.name}_bead_{j + 1}"] = first + along[j] * (last - first)
+        of_beads = np.array([velocity[name] for name in system.bead_name])
+        return InitialState(np.array(system.layout_m), of_beads, "the scenario's velocities")
+
+
+def given_start(
+    system: System, position_m: ArrayLike, velocity_m_s: ArrayLike, origin: str
+) -> InitialState:
+    """A start from the numbers that somebody gave.
+
+    Parameters
+    ----------
+    system : System
+    position_m, velocity_m_s : array
+        x, y, z of each bead, orbit frame [m] and [m/s], flat or a row for each bead.
+    origin : str
+        Where they come from, in words.
+
+    Returns
+    -------
+    InitialState
+
+    Raises
+    ------
+    TssError
+        If these are not as many finite numbers as the system needs.
+    """
+    arrays = []
+    for name, values in (("position_m", position_m), ("velocity_m_s", velocity_m_s)):
+        try:
+            array = np.array(values, dtype=float).ravel()
+        except (TypeError, ValueError):
+            raise TssError(f"{name} must be numbers, x, y, z of each bead") from None
+        if array.size != 3 * system.n:
+            raise TssError(
+                f"{name} has {array.size} numbers; allowed: {3 * system.n}, x, y, z of each of"
+                f" {system.n} beads"
+            )
+        if not np.isfinite(array).all():
+            bad = array[~np.isfinite(array)][0]
+            raise TssError(f"{name} holds {bad}; allowed: finite numbers")
+        arrays.append(array.reshape(-1, 3))
+    return InitialState(*arrays, origin)
+
+
+def read_start(path: str | Path, system: System) -> InitialState:
+    """A start from a YAML or JSON file with the keys `position_m` and `velocity_m_s`.
+
+    Parameters and errors as for `given_start`.
+    """
+    arrays = read_start_arrays(path)
+    try:
+        return given_start(system, *arrays, str(path))
+    except TssError as error:
+        raise TssError(f"start {str(path)!r}: {error}") from None
+
+
+def read_start_arrays(path: str | Path) -> tuple[list, list]:
+    """What such a file holds, positions and velocities, not checked against any system."""
+    where = f"start {str(path)!r}"
+    content = files.load_yaml(files.read_text(path), where)
+    _check_keys(where, content, {"position_m", "velocity_m_s"})
+    return content["position_m"], content["velocity_m_s"]
 
 
 def shipped() -> tuple[str, ...]:
@@ -177,11 +271,15 @@ def _parse(name, content):
         if shape not in FORMATIONS:
             raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
         return Scenario(name, description, shape, parameters)
-    bodies = [_body(i, entry) for i, entry in enumerate(_entries(content, "bodies"))]
+    entries = _entries(content, "bodies")
+    bodies = [_body(i, entry) for i, entry in enumerate(entries)]
+    velocities = _velocities(entries)
     known_bodies = [body.name for body in bodies]
     entries = _entries(content, "tethers")
     tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
-    return Scenario(name, description, "graph", parameters, tuple(bodies), tuple(tethers))
+    return Scenario(
+        name, description, "graph", parameters, tuple(bodies), tuple(tethers), velocities
+    )
 
 
 def _entries(content, key):
@@ -205,13 +303,32 @@ def _check_keys(where, entry, needed, optional=frozenset()):
 
 def _body(i, entry):
     where = f"bodies[{i}]"
-    _check_keys(where, entry, _BODY)
-    place = entry["position_m"]
-    if not isinstance(place, list) or len(place) != 3:
-        raise TssError(f"{where}.position_m must be [x, y, z], got {place!r}")
-    place = tuple(finite(f"{where}.position_m", value) for value in place)
+    _check_keys(where, entry, _BODY, _BODY_OPTIONAL)
+    place = _vector(f"{where}.position_m", entry["position_m"])
     mass = finite(f"{where}.mass_kg", entry["mass_kg"], above=0.0)
     return Satellite(str(entry["name"]), mass, place)
+
+
+def _vector(where, value):
+    if not isinstance(value, list) or len(value) != 3:
+        raise TssError(f"{where} must be [x, y, z], got {value!r}")
+    return tuple(finite(where, number) for number in value)
+
+
+def _velocities(entries):
+    """The velocity of each body, or none at all."""
+    given = ["velocity_m_s" in entry for entry in entries]
+    if not any(given):
+        return ()
+    if not all(given):
+        raise TssError(
+            f"bodies[{given.index(True)}] has velocity_m_s and bodies[{given.index(False)}] has"
+            " none; allowed: all bodies or none"
+        )
+    return tuple(
+        _vector(f"bodies[{i}].velocity_m_s", entry["velocity_m_s"])
+        for i, entry in enumerate(entries)
+    )
 
 
 def _tether(i, entry, known_bodies):

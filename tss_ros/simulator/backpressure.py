@@ -1,5 +1,6 @@
 """Keeps a simulator from running further ahead of its recorders than their queues hold."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,8 @@ SILENCE_S = 2.0
 #: While a recorder joins, steps go out this far [s] apart, so that what the middleware repeats, as
 #: late as 3 s after it was lost, is still there; after so many steps it is not waited for any more.
 JOIN_STEP_S, JOIN_STEPS = 0.05, 100
+#: Recorders that are kept account of.
+MOST_RECORDERS = 100
 #: Steps that have not reached a joining recorder after this long [s] never will.
 JOIN_S = 5.0
 
@@ -57,14 +60,26 @@ class FlowControl:
         Gets a warning when a recorder is given up.
     on_change : callable
         Called, in any thread, when `ready` may have become true.
+    patience_s : float
+        How long [s] a recorder that has no more steps than before may hold the simulator; 0: none
+        may.
     """
 
-    def __init__(self, window: int, logger: Logger, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        window: int,
+        logger: Logger,
+        on_change: Callable[[], None],
+        patience_s: float = math.inf,
+    ) -> None:
         self._published, self._published_at = -1, time.monotonic()
         self._window = window
         self._logger = logger
         self._on_change = on_change
+        self._patience_s = patience_s
         self._recorders = {}
+        self._holding = {}  # by output: at which step it has held the simulator, and since when
+        self._unheard = set()  # outputs of recorders that are known to get nothing
         self._lock = threading.Lock()
 
     @property
@@ -88,10 +103,13 @@ class FlowControl:
         with self._lock:
             if not status.recording:
                 self._recorders.pop(output, None)
+            elif output not in self._recorders and len(self._recorders) >= MOST_RECORDERS:
+                return
             elif status.matched and 0 <= status.last_step <= self.published:
                 self._recorders[output] = Recorder(
                     status.last_step, now, status.lost, matched=True, joining=False
                 )
+                self._unheard.discard(output)
             else:
                 # Nothing of this run has reached it: count from where it was first heard.
                 known = self._recorders.get(output)
@@ -109,26 +127,54 @@ class FlowControl:
 
     def ready(self, drain: bool = False) -> bool:
         """Whether the next step may be published; with `drain`, whether all have everything."""
-        if not self._recorders:
+        if not self._recorders or not self._patience_s:
             return True
         with self._lock:
             self._forget_silent()
-            recorders = list(self._recorders.values())
+            recorders = list(self._recorders.items())
         ahead = 0 if drain else self._window - 1
         since_s = time.monotonic() - self._published_at
-        for recorder in recorders:
+        for output, recorder in recorders:
             behind = self.published - recorder.step
             if recorder.joining:
-                if behind > JOIN_STEPS or drain and not behind:
+                if behind > JOIN_STEPS:
+                    self._say_unheard(output)
+                    continue
+                if drain and not behind:
                     continue
                 if since_s < (JOIN_S if drain else JOIN_STEP_S):
                     return False
-            elif behind > ahead:
+            elif behind > ahead and self._waits_for(output, recorder.step):
                 return False
         return True
+
+    def _waits_for(self, output, step):
+        """Whether a recorder that stands at this step has not held the simulator too long."""
+        now = time.monotonic()
+        held_at, since = self._holding.get(output, (None, now))
+        if held_at != step:
+            since = now
+        elif 0.0 <= since < now - self._patience_s:
+            since = -1.0
+            self._logger.warning(
+                f"the recorder of {output!r:.200} has been at step {step} for "
+                f"{self._patience_s:g} s; going on without waiting for it"
+            )
+        self._holding[output] = step, since
+        return since >= 0.0
+
+    def _say_unheard(self, output):
+        if output not in self._unheard:
+            self._unheard.add(output)
+            self._logger.warning(
+                f"the recorder of {output!r:.200} reports, but has got none of the last "
+                f"{JOIN_STEPS} steps; going on without waiting for it"
+            )
 
     def _forget_silent(self):
         for output, recorder in list(self._recorders.items()):
             if time.monotonic() - recorder.heard > SILENCE_S:
                 del self._recorders[output]
+                self._holding.pop(output, None)
+                self._unheard.discard(output)
                 self._logger.warning(f"the recorder of {output!r} is silent; going on without it")

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from tss_ros.core import IntegrationError, TssError
 from tss_ros.simulator.backpressure import FlowControl, Logger
 from tss_ros.simulator.pacing import MAX_LAG_S, Meter, Pace
-from tss_ros.simulator.simulation import Sample, Setup, Simulation
+from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.simulation import Sample, Simulation
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000

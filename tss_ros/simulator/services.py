@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from rclpy.task import Future
@@ -19,9 +20,10 @@ from tss_interfaces.srv import (
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
+from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
 from tss_ros.simulator.control import Code, Control, PlayState, Refused
-from tss_ros.simulator.simulation import Setup
+from tss_ros.simulator.setup import Setup
 
 #: Largest offset [m] and change of velocity [m/s] in a Disturb request.
 MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
@@ -42,6 +44,8 @@ class SimulationServices:
         Called with kind and text of every change of the motion, in the simulation's thread.
     on_answer : callable
         Called before every answer.
+    folder : str
+        Of the snapshots that requests may name.
     """
 
     def __init__(
@@ -52,9 +56,10 @@ class SimulationServices:
         newest_states: Callable[[], tuple[BeadStates, TetherStates]],
         on_event: Callable[[str, str], None],
         on_answer: Callable[[], None],
+        folder: str,
     ) -> None:
         self._node, self._control, self._make_setup = node, control, make_setup
-        self._newest_states = newest_states
+        self._newest_states, self._folder = newest_states, folder
         self._on_event, self._on_answer = on_event, on_answer
         for kind, name, callback in (
             (SetSimulationState, "set_simulation_state", self._set_state),
@@ -102,7 +107,7 @@ class SimulationServices:
         return await self._ask(response, self._do_disturb, request)
 
     async def _save(self, request, response):
-        return await self._ask(response, self._control.save, request.file)
+        return await self._ask(response, self._do_save, request.file)
 
     async def _restore(self, request, response):
         return await self._ask(response, self._do_restore, request.file)
@@ -149,9 +154,25 @@ class SimulationServices:
         what = [name for name, asked in (("time", time), ("state", state)) if asked]
         self._on_event(SimulationEvent.KIND_RESET, " and ".join(what))
 
+    def _do_save(self, answer, file):
+        path = self._path(file)
+        try:
+            Path(self._folder).mkdir(mode=0o700, exist_ok=True)
+        except OSError as error:
+            raise TssError(
+                f"service_folder {self._folder!r} cannot be made: {error.strerror}"
+            ) from None
+        self._control.save(answer, path)
+
     def _do_restore(self, answer, file):
-        self._control.restore(answer, file)
+        self._control.restore(answer, self._path(file))
         self._on_event(SimulationEvent.KIND_RESTORE, f"snapshot {file}")
+
+    def _path(self, file):
+        """Where a snapshot is that a request names."""
+        if not file.endswith(".npz"):
+            raise TssError(f"file is {file!r:.200}; allowed: a path that ends in .npz")
+        return str(inside(self._folder, Path(self._folder) / file, "snapshot"))
 
     def _do_disturb(self, answer, request):
         if request.bead:

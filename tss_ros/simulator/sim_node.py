@@ -13,14 +13,16 @@ from rclpy.parameter import Parameter
 from tss_ros.core import TssError
 from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
+from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, read_topics
+from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
-from tss_ros.simulator.simulation import Setup, Simulation
+from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.simulation import Simulation
 
 #: /clock is published at least this often [s]: who comes while time stands still must learn it.
 CLOCK_PERIOD_S = 0.1
@@ -28,6 +30,8 @@ CLOCK_PERIOD_S = 0.1
 TF_RATE_HZ = 50.0
 #: How often [s] to look whether the last recorder has left, and to report.
 RECORDER_CHECK_S, STATUS_PERIOD_S, DIAGNOSTICS_PERIOD_S = 0.25, 0.5, 1.0
+#: How long [s] a recorder that is there may say nothing before that is said.
+RECORDER_SILENT_S = 3.0
 #: How long [s] a finished simulator waits for those who listen on each topic.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
@@ -61,7 +65,9 @@ class SimNode(TssNode):
             if topics[name].durability == "volatile"
         )
         wake = threading.Event()
-        self._flow = FlowControl(max(1, depth // 4), self.get_logger(), wake.set)
+        self._flow = FlowControl(
+            max(1, depth // 4), self.get_logger(), wake.set, self._options["recorder_patience_s"]
+        )
         self._pace = Pace(self._options["time_scale"])
         self._control = Control(
             Simulation(setup, self._options["turns"], wake.set),
@@ -86,6 +92,7 @@ class SimNode(TssNode):
             self._newest_states,
             self._on_event,
             self._report_status,
+            self._options["service_folder"],
         )
         self.every(RECORDER_CHECK_S, self._check_recorders)
         self.every(STATUS_PERIOD_S, self._report_regularly)
@@ -95,6 +102,7 @@ class SimNode(TssNode):
         self._progress = time.monotonic()
         self._events = []
         self._shown, self._listeners = None, {}
+        self._unheard_since = None
         self._describe(0, 0)
 
     def start(self) -> None:
@@ -111,6 +119,10 @@ class SimNode(TssNode):
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
+            scenario = options["scenario"]
+            # Other names than those of shipped scenarios and YAML files are refused unread.
+            if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
+                inside(options["service_folder"], scenario, "scenario")
             systems.build_system(*systems.split_options(options))
             options = systems.without_scenario_values(options)
         except TssError as error:
@@ -290,6 +302,29 @@ class SimNode(TssNode):
     def _check_recorders(self):
         if not self._recorder_status.get_publisher_count():
             self._flow.on_recorders_gone()
+            self._unheard_since = None
+        elif self._flow.recorders:
+            self._unheard_since = None
+        else:
+            self._unheard_since = self._unheard_since or time.monotonic()
+            if time.monotonic() - self._unheard_since > RECORDER_SILENT_S:
+                self.get_logger().warning(
+                    f"somebody publishes {self._recorder_status.topic_name}, but nothing comes; "
+                    "not waiting for that recorder",
+                    throttle_duration_sec=10.0,
+                )
+        self._check_alone()
+
+    def _check_alone(self):
+        """Say which other simulators publish what this one does."""
+        states = self._publisher["bead_states"]
+        names = sorted(publishers(self, states.topic_name).values())
+        if len(names) > 1 and all(names):
+            self.get_logger().error(
+                f"{len(names)} nodes publish {states.topic_name}: {', '.join(names)}; "
+                "give each simulator a namespace of its own",
+                throttle_duration_sec=10.0,
+            )
 
     def _report_regularly(self):
         self._measured = self._control.meter.read()

@@ -1,29 +1,20 @@
 """The motion a simulator publishes: integrated ahead in a thread, changed and kept on request."""
 
-import dataclasses
 import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tss_ros.core import (
-    Propagator,
-    State,
-    System,
-    TssError,
-    deviation,
-    disturbed,
-    initial_state,
-    tether_state,
-)
+from tss_ros.core import Propagator, State, TssError, deviation, tether_state
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
+from tss_ros.simulator.setup import Setup
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
@@ -31,83 +22,6 @@ MAX_TIME_S = 2**31 - 1
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 256, 8192
 #: Wall time [s] that one go should take: less is a waste, more keeps requests waiting.
 CHUNK_WALL_S = (0.05, 0.2)
-
-
-@dataclasses.dataclass(frozen=True)
-class Setup:
-    """What a run begins with.
-
-    Attributes
-    ----------
-    options : dict
-        The simulator's parameters that it was made from, by name; `scenario`, `publish_period_s`,
-        `disturbance_m` and `disturbance_seed` among them.
-    system : System
-    spin_rate_ratio : float
-    start : State
-    reference_radius_m : ndarray, shape (n,)
-        Distances [m] from the centre before the disturbance, the zero of Eq. (53).
-    tension_n : ndarray, shape (m,)
-        Tensions [N] before the disturbance.
-    """
-
-    options: dict
-    system: System
-    spin_rate_ratio: float
-    start: State
-    reference_radius_m: np.ndarray
-    tension_n: np.ndarray
-
-    @classmethod
-    def of(cls, options: dict[str, Any], system: System, spin_rate_ratio: float) -> "Setup":
-        """Find the initial configuration, Eqs. (50)-(54), and disturb it.
-
-        Parameters
-        ----------
-        options : dict
-            The simulator's parameters, by name.
-        system : System
-        spin_rate_ratio : float
-
-        Returns
-        -------
-        Setup
-
-        Raises
-        ------
-        TssError
-            If there is none for this system and rate.
-        """
-        steady = initial_state(system, spin_rate_ratio)
-        return cls(
-            options=options,
-            system=system,
-            spin_rate_ratio=spin_rate_ratio,
-            start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
-            reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
-            tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
-        )
-
-    @property
-    def publish_period_s(self) -> float:
-        """[s] simulated time between steps."""
-        return self.options["publish_period_s"]
-
-    @property
-    def turn_s(self) -> float:
-        """[s] duration of one spin turn."""
-        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
-
-    @property
-    def identity(self) -> dict[str, np.ndarray]:
-        """Everything that must be equal for a snapshot to fit, by name."""
-        values = {f.name: getattr(self.system, f.name) for f in dataclasses.fields(System)}
-        del values["layout_m"]
-        values |= values.pop("law_parameters")
-        values = {name: np.array(value) for name, value in values.items()}
-        values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
-        values["publish_period_s"] = np.array(self.publish_period_s)
-        return values
 
 
 def last_index(duration_s: float, period_s: float) -> int:

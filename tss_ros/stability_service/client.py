@@ -3,7 +3,6 @@
 import argparse
 import csv
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,10 +22,12 @@ from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
 from tss_ros.command_line import Parser
-from tss_ros.core import TssError
+from tss_ros.core import TssError, in_words
+from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.ros.parameters import OVERRIDES
 from tss_ros.scenarios.laws import laws_in_words
+from tss_ros.scenarios.parameters import read_assignment
+from tss_ros.scenarios.scenario import read_start_arrays
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
 GONE_S = 5.0
@@ -34,14 +35,14 @@ GONE_S = 5.0
 BATCH = 4
 #: What must be small for a result to be right; a jordan_error is the root of such an error.
 ERRORS = ("trivial", "flow", "segment", "convergence", "liouville")
-#: Parameters whose values are texts.
-TEXTS = {parameter.name for parameter in OVERRIDES if parameter.type is str}
+#: Times of a turn at which a mode is drawn.
+MODE_SAMPLES = 48
 #: Headings, and formats of what `flat` makes of a result.
 TABLE = (
     ("rate/Omega", "{spin_rate_ratio:.6g}"),
     ("period [s]", "{period_s:.1f}"),
     ("max |rho|", "{max_modulus:.6f}"),
-    ("non-trivial", "{max_modulus_nontrivial:.6f}"),
+    ("decided by", "{decided_by}"),
     ("verdict", "{verdict}"),
     ("tether law", "{tether_law}"),
     ("pushing", "{pushing_share:.1%}"),
@@ -66,7 +67,7 @@ def compute(
     overrides: Iterable[rcl_interfaces.msg.Parameter] = (),
     on_wait: Callable[[int], object] | None = None,
     patience_s: float = 10.0,
-    confirm_turns: int = 0,
+    **fields: Any,
 ) -> list[FloquetResult]:
     """Ask a stability node for the multipliers at some spin rates.
 
@@ -85,8 +86,8 @@ def compute(
         Called several times a second with the number of rates answered so far.
     patience_s : float
         How long to wait for the service to appear [s].
-    confirm_turns : int
-        Length of a disturbed simulation beside every verdict [turns]; 0 for none.
+    **fields
+        Others of the request, e.g. `confirm_turns`, `mode_samples`, `position_m`.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def compute(
                 spin_rate_ratio=[float(rate) for rate in rates[first : first + BATCH]],
                 method=method,
                 overrides=list(overrides),
-                confirm_turns=confirm_turns,
+                **fields,
             )
             answer = client.call_async(request)
             seen = time.monotonic()
@@ -143,12 +144,15 @@ def compute(
 def flat(result: FloquetResult) -> dict[str, Any]:
     """All fields of a result but the multipliers as a dict.
 
-    Those of its confirmation are named confirmation_*, NaN if there is none; `error` is the largest
-    of `ERRORS` that is known.
+    `decided_by` says in words what decided. The fields of its confirmation are named
+    confirmation_*, NaN if there is none; `error` is the largest of `ERRORS` that is known.
     """
     fields = FloquetResult.get_fields_and_field_types().items()
     cells = {name: getattr(result, name) for name, kind in fields if "sequence" not in kind}
     errors = [cells[f"{name}_error"] for name in ERRORS]
+    cells["decided_by"] = in_words(
+        result.deciding_family, result.deciding_modulus, result.closure_residual
+    )
     cells["error"] = max((e for e in errors if not math.isnan(e)), default=math.nan)
     for name in Confirmation.get_fields_and_field_types():
         values = [getattr(confirmation, name) for confirmation in result.confirmation]
@@ -173,9 +177,9 @@ def format_table(
     """
     rows = [[heading for heading, _ in columns]]
     cells = [flat(result) for result in results]
-    rows += [[cell.format_map(row) for _, cell in columns] for row in cells]
+    rows += [[cell.format_map(row) or "-" for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
-    left = {"verdict", "tether law", "message"}
+    left = {"decided by", "verdict", "tether law", "message"}
     return "\n".join(
         "  ".join(
             cell.ljust(width) if heading in left else cell.rjust(width)
@@ -205,6 +209,14 @@ def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
     )
 
 
+def _start(path):
+    """The fields of a request that say where to start, from a file; none if there is none."""
+    if not path:
+        return {}
+    arrays = (np.ravel(array).astype(float).tolist() for array in read_start_arrays(path))
+    return dict(zip(("position_m", "velocity_m_s"), arrays))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable `stability`.
 
@@ -215,12 +227,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         interrupted.
     """
     argv = sys.argv if argv is None else ["stability", *argv]
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    stay_on_this_machine()
     try:
         options = _parse(remove_ros_args(argv)[1:])
         show = _progress_line(len(options.rates))
         rclpy.init(args=argv)
-        node = rclpy.create_node("stability_client")
+        with joined():
+            node = rclpy.create_node("stability_client")
         results = compute(
             node,
             f"{options.node}/compute_floquet",
@@ -229,6 +242,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.override,
             show,
             confirm_turns=options.confirm,
+            **_start(options.start),
+            mode_samples=MODE_SAMPLES if options.mode_shape else 0,
         )
         if show:
             print(file=sys.stderr)
@@ -237,6 +252,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             write_csv(results, options.csv)
         if options.plot:
             figure(results, options.method).savefig(options.plot)
+        if options.mode_shape:
+            _draw_mode(results[0], options.mode_shape)
     except (*USER_ERRORS, NameValidationException, ValueError) as error:
         print(f"stability: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
@@ -245,6 +262,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
     return 0 if all(result.verdict for result in results) else 1
+
+
+def _draw_mode(result, path):
+    if not result.mode:
+        raise TssError(
+            f"no multiplier decided at {result.spin_rate_ratio:g}, so no mode can be drawn:"
+            f" {result.verdict or 'failed'}; {result.message}"
+        )
+    mode = plots.mode_of(result)
+    if path.suffix.lower() == ".gif":
+        plots.save_mode_animation(mode, path)
+    else:
+        plots.mode_shape(mode).savefig(path)
 
 
 def _parse(arguments):
@@ -281,9 +311,19 @@ def _parse(arguments):
         metavar="TURNS",
         help="simulate each disturbed formation for so many turns beside its verdict",
     )
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE",
+        help="the motion next to this one: position_m and velocity_m_s of each bead, YAML or JSON",
+    )  # fmt: skip
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
+    )
+    parser.add_argument(
+        "--mode-shape",
+        type=Path,
+        metavar="FILE",
+        help="draw the mode that decided the verdict at the only rate (gif: moving; png, pdf, ...)",
     )
     parser.add_argument("--node", default="stability_node", help="default %(default)s")
     # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
@@ -300,6 +340,8 @@ def _parse(arguments):
         options.rates += np.linspace(options.first, options.last, options.count).tolist()
     if not options.rates:
         parser.error("give spin rates, or a range with --from and --to")
+    if options.mode_shape and len(options.rates) != 1:
+        parser.error(f"--mode-shape is of one rate, got {len(options.rates)}")
     return options
 
 
@@ -312,20 +354,12 @@ def _is_number(text):
 
 
 def _override(text):
-    """A parameter message from "name=1.5", "name=3", "name=1,2.5,3", or "name=word"."""
-    name, _, values = text.partition("=")
-    if name in TEXTS:
-        return Parameter(name, value=values).to_parameter_msg()
+    """A parameter message from what `read_assignment` reads."""
     try:
-        numbers = [float(value) for value in values.strip("[]").split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be NAME=NUMBER or NAME=NUMBER,NUMBER,..."
-        ) from None
-    # ROS tells 3 from 3.0, and so does a node that wants a whole number.
-    if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
-        numbers = [int(number) for number in numbers]
-    return Parameter(name, value=numbers if "," in values else numbers[0]).to_parameter_msg()
+        name, value = read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Parameter(name, value=value).to_parameter_msg()
 
 
 def _progress_line(total):

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tss_interfaces.action import Sweep
+from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
-from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, System, TssError
+from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, State, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import systems
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
+from tss_ros.scenarios.scenario import given_start
 
 #: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
 #: cube of the beads, `CERTIFIED` times that if certified, and each turn of its simulation as twice
@@ -37,9 +38,15 @@ SEARCH = (
     replace(SPIN_RATE_RATIO, name="spin_rate_ratio_to", default=0.0),
     Parameter("tolerance", float, "Largest uncertainty", "-", 1e-6, 0.1, default=1e-3),
 )
+#: How a family is followed; a field left at zero means the default.
+LONGEST_STEP = Parameter("longest_step", float, "Longest step", "-", 1e-4, 1.0, default=0.04)
+MOST_POINTS = Parameter("most_points", int, "Most points", "", 1, 10_000, default=2000)
 #: The simulation beside a verdict; how many turns are allowed depends on the system.
 CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)
 DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets", "m", 1e-6, 1e6)
+#: Times of a turn at which a mode may be asked for, and those of all rates together times beads.
+MODE_SAMPLES = Parameter("mode_samples", int, "Times of a turn", minimum=0, maximum=500)
+MAX_MODE_PLACES = 200_000
 _VARIED = {parameter.name: parameter for parameter in VARIED}
 
 
@@ -104,6 +111,8 @@ def check_floquet(request: ComputeFloquet.Request, system: System) -> tuple[str,
             f"spin_rate_ratio has {rates} rates; "
             f"allowed: 1 to {most} for {system.n} beads{simulated}"
         )
+    most = min(MODE_SAMPLES.maximum, MAX_MODE_PLACES // (rates * system.n))
+    replace(MODE_SAMPLES, maximum=most).check(request.mode_samples)
     return method, turns
 
 
@@ -119,8 +128,55 @@ def check_search(request: FindCriticalRates.Request, system: System) -> tuple[fl
     return low, high, tolerance
 
 
+def check_follow(request: Follow.Goal, system: System, own_ratio: float) -> dict[str, Any]:
+    """The options of `core.follow` that a goal asks for, its start left out.
+
+    Parameters
+    ----------
+    request : Follow.Goal
+    system : System
+    own_ratio : float
+        Spin rate over orbital rate if another parameter is followed and the goal has none.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    TssError
+        Naming the field, its value and what is allowed.
+    """
+    parameter = request.parameter or SPIN_RATE_RATIO.name
+    step, points = (
+        limit.check(getattr(request, limit.name) or limit.default)
+        for limit in (LONGEST_STEP, MOST_POINTS)
+    )
+    most = max(1, MAX_JOB_BEADS // system.n)
+    if points > most:
+        raise TssError(f"most_points is {points}; allowed: 1 to {most} for {system.n} beads")
+    ratio = request.spin_rate_ratio or None
+    if parameter != SPIN_RATE_RATIO.name:
+        ratio = ratio or own_ratio
+    return {
+        "parameter": parameter, "start": request.start, "stop": request.stop,
+        "spin_rate_ratio": ratio, "longest_step": step, "most_points": points,
+    }  # fmt: skip
+
+
+def read_start(
+    request: ComputeFloquet.Request | Follow.Goal, system: System, own: State | None
+) -> State | None:
+    """The start that a request gives, or else the scenario's own, which may be none."""
+    if not (request.position_m or request.velocity_m_s):
+        return own
+    return given_start(system, request.position_m, request.velocity_m_s, "the start that was given")
+
+
 def plan_sweep(
-    request: Sweep.Goal, build: Callable[[dict[str, Any]], System], cancelled: Callable[[], bool]
+    request: Sweep.Goal,
+    build: Callable[[dict[str, Any]], tuple[System, float, State | None]],
+    cancelled: Callable[[], bool],
 ) -> Plan:
     """Check the goal of a sweep and build its systems.
 
@@ -128,7 +184,7 @@ def plan_sweep(
     ----------
     request : Sweep.Goal
     build : callable
-        Makes a System of overrides.
+        Makes a System of overrides, with its spin rate ratio and its own start if it has one.
     cancelled : callable
         Asked before every system; a true answer stops the work.
 
@@ -167,13 +223,13 @@ def plan_sweep(
             f"value, spin_rate_ratio and the interval make {count} jobs; "
             f"allowed: at most {MAX_JOBS}"
         )
-    beads = 0
+    beads, start = 0, None
     for i, row in enumerate(plan.rows):
         if cancelled():
             raise Cancelled("canceled before it began")
         try:
             varied = {name: _checked(_VARIED[name], row)} if name else {}
-            system = build({**overrides, **varied})
+            system, _, start = build({**overrides, **varied})
         except TssError as error:
             row.message = str(error)
             continue
@@ -182,14 +238,14 @@ def plan_sweep(
                 f"value, spin_rate_ratio and the interval make {count} jobs, "
                 f"of more than {MAX_JOB_BEADS} beads together; allowed: at most that"
             )
-        plan.jobs += [(i, FloquetJob(system, rate, method)) for rate in rates]
+        plan.jobs += [(i, FloquetJob(system, rate, method, start)) for rate in rates]
         plan.jobs += [(i, CriticalRatesJob(system, low, high, tolerance))] * search
     if not plan.jobs:
         raise TssError(plan.rows[0].message)
     if failed := sum(bool(row.message) for row in plan.rows):
         plan.remarks.append(f"{failed} of {len(plan.rows)} values make no system")
     if search:
-        plan.remarks += left_out(low, high)
+        plan.remarks += left_out(low, high) + unused_start(start)
     plan.remarks += useless(overrides)
     return plan
 
@@ -215,6 +271,13 @@ def left_out(low: float, high: float) -> list[str]:
     """A remark if a search of this interval leaves out slow spin."""
     slow = low < SLOWEST and high > -SLOWEST
     return [f"rates slower than {SLOWEST:g} were left out"] if slow else []
+
+
+def unused_start(start: State | None) -> list[str]:
+    """A remark if the scenario has a start, which a search for critical rates does not use."""
+    if start is None:
+        return []
+    return ["the scenario's velocities have no effect on the search for critical rates"]
 
 
 def useless(overrides: dict[str, Any]) -> list[str]:

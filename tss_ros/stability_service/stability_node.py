@@ -1,4 +1,4 @@
-"""The stability node: Floquet multipliers, critical spin rates and sweeps on request."""
+"""The stability node: multipliers, critical spin rates, families and sweeps on request."""
 
 import collections
 import functools
@@ -12,8 +12,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from tss_interfaces.action import Sweep
-from tss_interfaces.msg import SweepRow
+from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 
 from tss_ros.core import (
@@ -23,13 +22,16 @@ from tss_ros.core import (
     compute_floquet,
     confirm,
     find_critical_rates,
+    follow,
     sweep,
 )
-from tss_ros.ros import messages, parameters, systems
+from tss_ros.ros import parameters, systems
+from tss_ros.ros import stability_messages as messages
 from tss_ros.ros.node import REQUESTS_QOS, TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
 from tss_ros.ros.words import check_words
 from tss_ros.stability_service import requests
+from tss_ros.stability_service.progress import FollowProgress, SweepProgress, empty_row, join
 from tss_ros.sweeps import cluster
 
 PARAMETERS = (parameters.SCENARIO, *parameters.OVERRIDES, *parameters.STABILITY)
@@ -51,17 +53,15 @@ PROGRESS_PERIOD_S = 5.0
 
 
 class StabilityNode(TssNode):
-    """Offers the services `~/compute_floquet`, `~/find_critical_rates` and the action `~/sweep`.
+    """Offers services `~/compute_floquet`, `~/find_critical_rates`, actions `~/sweep`, `~/follow`.
 
     Every result, whoever asked for it, is published on `stability_results` as well. Requests wait
-    for each other, and so do sweeps, in the order in which they came; neither waits for the other.
+    for each other, and so do goals, in the order in which they came; neither waits for the other.
     """
 
     def __init__(self):
         super().__init__("stability_node")
-        options = parameters.read_parameters(
-            self, PARAMETERS
-        )
+        options = parameters.read_parameters(self, PARAMETERS)
         systems.declare_scenario_values(self, PARAMETERS, options)
         self._scenario = options.pop("scenario")
         if scheduler := options.pop("scheduler"):
@@ -83,31 +83,23 @@ class StabilityNode(TssNode):
             on_request = functools.partial(self._on_request, work)
             self.create_service(kind, f"~/{name}", on_request)
         self._goals = collections.deque()
-        self._sweeps = ActionServer(
-            self,
-            Sweep,
-            "~/sweep",
-            self._on_goal,
-            goal_callback=self._on_goal_request,
-            cancel_callback=self._on_cancel_request,
-            callback_group=ReentrantCallbackGroup(),
-            goal_service_qos_profile=REQUESTS_QOS,
-            result_service_qos_profile=REQUESTS_QOS,
-            cancel_service_qos_profile=REQUESTS_QOS,
-            feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
-        )
+        self._actions = [
+            self._offer(Sweep, "~/sweep", self._sweep, SweepProgress),
+            self._offer(Follow, "~/follow", self._follow, FollowProgress),
+        ]
         self.get_logger().info(f"ready for requests about {self._scenario}")
 
     def stop(self) -> None:
-        """Give up the request and the sweep in hand, if any."""
+        """Give up the request and the goal in hand, if any."""
         self._stopping.set()
         # destroy_node leaves action servers, and they the node's shared memory.
-        self._sweeps.destroy()
+        for action in self._actions:
+            action.destroy()
 
     async def _on_request(self, work, request, response):
         def fill_in():
             overrides = systems.read_overrides(request.overrides)
-            remarks = work(self._build(overrides), request, response)
+            remarks = work(*self._build(overrides), request, response)
             return remarks + requests.useless(overrides)
 
         if len(self._requests) > MOST_WAITING:
@@ -124,32 +116,50 @@ class StabilityNode(TssNode):
             if self._requests:
                 self._requests[0].set_result(None)
 
-    async def _on_goal_request(self, _):
-        await self.let_clients_read("~/sweep/_action/send_goal", READING_S)
-        return GoalResponse.ACCEPT
+    def _offer(self, kind, name, work, make_progress):
+        """An action whose answers go out as fast as clients read them."""
+        services = f"{name}/_action"
 
-    async def _on_cancel_request(self, _):
-        await self.let_clients_read("~/sweep/_action/cancel_goal", READING_S)
-        return CancelResponse.ACCEPT
+        async def accept_goal(_):
+            await self.let_clients_read(f"{services}/send_goal", READING_S)
+            return GoalResponse.ACCEPT
 
-    async def _on_goal(self, goal):
-        """Sweep when it is the goal's turn. A wrong goal is aborted: a rejection has no reason."""
-        progress, result = _Progress(), Sweep.Result()
+        async def accept_cancelling(_):
+            await self.let_clients_read(f"{services}/cancel_goal", READING_S)
+            return CancelResponse.ACCEPT
+
+        return ActionServer(
+            self,
+            kind,
+            name,
+            functools.partial(self._on_goal, kind, work, make_progress, f"{services}/get_result"),
+            goal_callback=accept_goal,
+            cancel_callback=accept_cancelling,
+            callback_group=ReentrantCallbackGroup(),
+            goal_service_qos_profile=REQUESTS_QOS,
+            result_service_qos_profile=REQUESTS_QOS,
+            cancel_service_qos_profile=REQUESTS_QOS,
+            feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
+        )
+
+    async def _on_goal(self, kind, work, make_progress, result_service, goal):
+        """Work when it is the goal's turn. A wrong goal is aborted: a rejection has no reason."""
+        progress, result = make_progress(), kind.Result()
         if len(self._goals) > MOST_WAITING:
             result.message = f"busy: {MOST_WAITING} goals wait; ask again later"
-            await self.let_clients_read("~/sweep/_action/get_result", READING_S)
+            await self.let_clients_read(result_service, READING_S)
             goal.abort()
             return result
         feedback = functools.partial(self._publish_feedback, goal, progress)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(FEEDBACK_PERIOD_S, feedback, clock=clock)
         self._goals.append(goal)
-        await self._answer(functools.partial(self._sweep, goal, progress, result), result)
+        await self._answer(functools.partial(work, goal, progress, result), result)
         self._goals.remove(goal)
         self.destroy_timer(timer)
         feedback()
         await self.sleep(LAST_FEEDBACK_S)
-        await self.let_clients_read("~/sweep/_action/get_result", READING_S)
+        await self.let_clients_read(result_service, READING_S)
         if result.success:
             goal.succeed()
         elif goal.is_cancel_requested:
@@ -181,43 +191,44 @@ class StabilityNode(TssNode):
         return await done
 
     def _build(self, overrides):
-        system, _ = systems.build_system(
+        """System, spin rate ratio and the scenario's own start of the node's system, overridden."""
+        return systems.build_system(
             self._scenario, {**self._overrides, **overrides}, requests.MAX_BEADS
         )
-        return system
 
-    def _compute_floquet(self, system, request, response):
+    def _compute_floquet(self, system, _, own_start, request, response):
         """Fill in the results of a request and return remarks on it."""
         method, turns = requests.check_floquet(request, system)
+        start = requests.read_start(request, system, own_start)
         rates = request.spin_rate_ratio
         log_progress = self._progress_logger()
         results = []
         for i, rate in enumerate(rates):
             log_progress(f"{i} of {len(rates)} rates computed")
-            results.append(self._result(system, rate, method, request))
+            results.append(self._result(system, rate, (method, start), request))
         response.results = results
         if turns and method != "monodromy":
             return [f"confirm_turns has no effect: method {method!r} is not about the motion"]
         return []
 
-    def _result(self, system, rate, method, request):
+    def _result(self, system, rate, how, request):
+        method, start = how
         cancelled = self._stopping.is_set
         confirmation, failure = None, ""
         try:
             result = compute_floquet(
-                system, rate, method, certify=request.certify, cancelled=cancelled
+                system, rate, method, start, certify=request.certify, cancelled=cancelled
             )
         except Cancelled:
             raise
         except TssError as error:
             return messages.failed_floquet_result(system, rate, str(error))
-        # Without multipliers there is no motion that a simulation could be compared with.
-        if request.confirm_turns and method == "monodromy" and result.family:
+        if request.confirm_turns and method == "monodromy":
             try:
                 confirmation = confirm(
                     system,
                     rate,
-                    result.state,
+                    result.state if result.family else None,
                     request.confirm_disturbance_m,
                     request.confirm_seed,
                     request.confirm_turns,
@@ -227,12 +238,18 @@ class StabilityNode(TssNode):
                 raise
             except TssError as error:
                 failure = f"; not confirmed: {error}"
-        message = messages.floquet_result(result, confirmation)
+        mode = None
+        if request.mode_samples and method == "monodromy" and result.deciding >= 0:
+            try:
+                mode = messages.deciding_mode(system, result, request.mode_samples)
+            except TssError as error:
+                failure += f"; no mode: {error}"
+        message = messages.floquet_result(result, confirmation, mode)
         message.message += failure
         self._publish(message)
         return message
 
-    def _find_critical_rates(self, system, request, response):
+    def _find_critical_rates(self, system, _, own_start, request, response):
         """Fill in the boundaries a request asks for and return remarks on it."""
         low, high, tolerance = requests.check_search(request, system)
         log_progress = self._progress_logger()
@@ -247,21 +264,48 @@ class StabilityNode(TssNode):
             cancelled=self._stopping.is_set,
         )
         response.rates = [messages.critical_rate(system, rate) for rate in found]
-        return requests.left_out(low, high)
+        return requests.left_out(low, high) + requests.unused_start(own_start)
 
-    def _sweep(self, goal, progress, result):
-        """Fill in the rows of a sweep and return remarks on it."""
+    def _follow(self, goal, progress, result):
+        """Fill in the family that a goal asks for and return remarks on it."""
+        cancelled = self._canceller(goal)
+        overrides = systems.read_overrides(goal.request.overrides)
+        system, own_ratio, own_start = self._build(overrides)
+        asked = requests.check_follow(goal.request, system, own_ratio)
+        start = requests.read_start(goal.request, system, own_start)
+        self._await_turn(goal, cancelled)
+        log_progress = self._progress_logger()
 
-        def cancelled():
-            return self._stopping.is_set() or goal.is_cancel_requested
+        def on_point(done, point):
+            progress.add(done, messages.family_point(point))
+            log_progress(f"{100 * done:.0f} % of the interval followed")
 
-        plan = requests.plan_sweep(goal.request, self._build, cancelled)
+        family = follow(system, **asked, state=start, progress=on_point, cancelled=cancelled)
+        result.points = [messages.family_point(point) for point in family.points]
+        result.special = [messages.special_point(point) for point in family.special]
+        result.ended = family.ended
+        if cancelled():
+            raise Cancelled(f"canceled with {len(family.points)} points found")
+        return requests.useless(overrides) if asked["parameter"] == "spin_rate_ratio" else []
+
+    def _canceller(self, goal):
+        """A function that says whether a goal is to be given up."""
+        return lambda: self._stopping.is_set() or goal.is_cancel_requested
+
+    def _await_turn(self, goal, cancelled):
+        """Wait until the goals that came before are done."""
         while self._goals[0] is not goal:
             if cancelled():
                 raise Cancelled("canceled before it began")
             time.sleep(TURN_CHECK_S)
+
+    def _sweep(self, goal, progress, result):
+        """Fill in the rows of a sweep and return remarks on it."""
+        cancelled = self._canceller(goal)
+        plan = requests.plan_sweep(goal.request, self._build, cancelled)
+        self._await_turn(goal, cancelled)
         log_progress = self._progress_logger()
-        result.rows = rows = [_row(r, message=r.message) for r in plan.rows]
+        result.rows = rows = [empty_row(r, message=r.message) for r in plan.rows]
         progress.total = total = len(plan.jobs)
         pieces = [None] * total
         try:
@@ -276,12 +320,12 @@ class StabilityNode(TssNode):
         finally:
             for (i, _), piece in zip(plan.jobs, pieces):
                 if piece is not None:
-                    _join(rows[i], piece)
+                    join(rows[i], piece)
         return plan.remarks
 
     def _piece(self, row, job, outcome):
         """What one job adds to the row of its value."""
-        piece = _row(row)
+        piece = empty_row(row)
         failed = isinstance(outcome, TssError)
         if isinstance(job, CriticalRatesJob):
             if failed:
@@ -305,9 +349,8 @@ class StabilityNode(TssNode):
                 raise
 
     def _publish_feedback(self, goal, progress):
-        done, rows = progress.take()
-        for row in rows:
-            goal.publish_feedback(Sweep.Feedback(done=done, total=progress.total, row=row))
+        for message in progress.take():
+            goal.publish_feedback(message)
 
     def _progress_logger(self):
         """A function that logs how far a request is, each `PROGRESS_PERIOD_S` at most."""
@@ -322,43 +365,8 @@ class StabilityNode(TssNode):
         return log_progress
 
 
-class _Progress:
-    """How far a sweep is, and what it found that no feedback has carried yet; for any thread."""
-
-    def __init__(self):
-        self.done = self.total = 0
-        self._unsent = []
-        self._lock = threading.Lock()
-
-    def add(self, i, piece):
-        """Take what a job found for row `i`."""
-        with self._lock:
-            self._unsent.append((i, piece))
-            self.done += 1
-
-    def take(self):
-        """The number of jobs done, and what is unsent of each row."""
-        with self._lock:
-            done, unsent, self._unsent = self.done, self._unsent, []
-        rows = {}
-        for i, piece in unsent:
-            _join(rows.setdefault(i, _row(piece)), piece)
-        return done, rows.values()
-
-
-def _row(of, **fields):
-    """An empty row of the same value."""
-    return SweepRow(value=of.value, text_value=of.text_value, **fields)
-
-
-def _join(row, piece):
-    row.message = row.message or piece.message
-    row.results.extend(piece.results)
-    row.rates.extend(piece.rates)
-
-
 def main() -> None:
     """Executable `stability_node`."""
-    about = "Compute multipliers, critical rates and sweeps on request."
+    about = "Compute multipliers, critical rates, families and sweeps on request."
     check_words("stability_node", about, PARAMETERS)
     run(StabilityNode)

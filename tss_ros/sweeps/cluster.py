@@ -22,8 +22,8 @@ BATCH_S, MAX_BATCH = 0.5, 1000
 AHEAD = 2
 #: Weight of the latest batch in the mean time a job takes.
 SMOOTHING = 0.2
-#: How long [s] a scheduler may take to answer.
-CONNECT_S = 10.0
+#: How long [s] a scheduler may take to answer, and be without any worker.
+CONNECT_S, NO_WORKER_S = 10.0, 60.0
 #: How often [s] to ask whether to stop, and how many workers there are.
 POLL_S, COUNT_S = 0.1, 1.0
 
@@ -62,8 +62,8 @@ def sweep(
     Raises
     ------
     TssError
-        If the scheduler does not answer, has no worker or is lost, if a worker has another
-        tss_ros, numpy, scipy or numba, or if one batch took several workers down.
+        If the scheduler does not answer, has no worker or is lost, if a worker has no tss_ros, or
+        another tss_ros, numpy, scipy or numba, or if one batch took several workers down.
     Cancelled
         If `cancelled` said so; outcomes already given stay good.
     """
@@ -74,10 +74,10 @@ def sweep(
 
     with _connected(scheduler) as client:
         coming, waiting, ready = enumerate(jobs), {}, queue.SimpleQueue()
-        job_s, counted = BATCH_S, -COUNT_S
+        job_s, counted, workers = BATCH_S, -COUNT_S, _Workers(client, scheduler)
         while True:
             if time.monotonic() - counted > COUNT_S:
-                threads, counted = sum(client.nthreads().values()), time.monotonic()
+                threads, counted = workers.count_threads(), time.monotonic()
             size = max(1, min(MAX_BATCH, int(BATCH_S / max(job_s, 1e-9))))
             while len(waiting) < AHEAD * max(1, threads):
                 batch = tuple(itertools.islice(coming, size))
@@ -126,6 +126,49 @@ def _connected(scheduler):
         raise TssError(f"the Dask scheduler at {scheduler} is lost") from None
     finally:
         client.close()
+
+
+class _Workers:
+    """The workers of a cluster, each of which is asked for its software once."""
+
+    def __init__(self, client, scheduler):
+        self._client, self._scheduler = client, scheduler
+        self._asked, self._none_since = set(), None
+
+    def count_threads(self):
+        """Threads of all workers; a TssError if one cannot do the jobs, or if there is none."""
+        threads = self._client.nthreads()
+        new = sorted(threads.keys() - self._asked)
+        # A worker without the package dies of the first job, and takes the reason with it.
+        answers = new and self._client.run(software.versions, workers=new, on_error="return")
+        for address, answer in dict(answers).items():
+            if isinstance(answer, OSError):
+                continue  # it has left meanwhile
+            if isinstance(answer, Exception):
+                raise TssError(
+                    f"the worker at {address} cannot import tss_ros: {_first_line(answer)}"
+                )
+            if differ := software.differences(answer, software.versions()):
+                raise TssError(f"the worker at {address} has other software: {differ}")
+            self._asked.add(address)
+        self._check_any(threads)
+        return sum(threads.values())
+
+    def _check_any(self, threads):
+        now = time.monotonic()
+        if threads:
+            self._none_since = None
+        elif self._none_since is None:
+            self._none_since = now
+            logging.getLogger(__name__).warning(
+                "the Dask scheduler at %s has lost all its workers; waiting for one, at most %g s",
+                self._scheduler,
+                NO_WORKER_S,
+            )
+        elif now - self._none_since > NO_WORKER_S:
+            raise TssError(
+                f"the Dask scheduler at {self._scheduler} has had no worker for {NO_WORKER_S:g} s"
+            )
 
 
 def _result(future, scheduler, stopped):

@@ -16,7 +16,7 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.command_line import Parser
-from tss_ros.core import METHODS, Cancelled, TssError, sweep
+from tss_ros.core import METHODS, Cancelled, TssError, in_words, sweep
 from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import cluster
@@ -125,9 +125,14 @@ def _rate(row, frozen):
     ratio = row["spin_rate_ratio"]
     beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
     return (
-        f"  {ratio:9.4f}  {row['verdict']:22}  |rho| {row['max_modulus_nontrivial']:11.6f}{beside}"
+        f"  {ratio:9.4f}  {row['verdict']:22}  by {_decided(row):23}{beside}"
         f"  closure {row['closure_residual']:.0e}  switches {row['switches']}{_pushing(row)}"
     )
+
+
+def _decided(row):
+    """What decided a verdict, in words."""
+    return in_words(row["deciding_family"], row["deciding_modulus"], row["closure_residual"])
 
 
 def _pushing(row):
@@ -144,6 +149,7 @@ def _critical(row):
     return (
         f"  {row['spin_rate_ratio']:9.4f} +- {row['uncertainty']:.4f}  {row['cause']:18}"
         f"  stable {side}{_pushing(row)}"
+        + (f"\n             {row['resonance']}" if row["resonance"] else "")
     )
 
 
@@ -152,12 +158,19 @@ def _simulation(row):
     if row["error"] or row["simulated_held"] is None:
         return f"{words}  nothing to simulate: {row['error'] or row['message']}"
     held = "held" if row["simulated_held"] else "lost"
-    agrees = {True: "agrees", False: "DISAGREES", None: "too slow to tell"}
+    agrees = {True: "agrees", False: "DISAGREES", None: _untold(row)}
     return (
-        f"{words}  |rho| {row['max_modulus_nontrivial']:9.4f}  simulated: {held},"
+        f"{words}  by {_decided(row)}  simulated: {held},"
         f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
         f" {row['simulated_switches']} switches: {agrees[row['agrees']]}{_pushing(row)}"
     )
+
+
+def _untold(row):
+    """Why a simulation neither agrees nor disagrees with a verdict."""
+    if row["verdict"] != "unstable":
+        return "settles in another motion"
+    return f"too slow to tell, {row['turns_that_tell']} turns would"
 
 
 def _counts(question, store):

@@ -19,6 +19,7 @@ from tss_ros.core import (
     State,
     TssError,
 )
+from tss_ros.core.stability.confirmation import turns_that_tell
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import VARIED
 from tss_ros.sweeps import software
@@ -43,17 +44,18 @@ class Boundaries:
         """Rows of `CRITICAL_RATES` and `SIMULATIONS`, and the first error of a simulation."""
         system, failure = self.interval.system, None
         rates = self.interval.run(cancelled)
-        tables = {CRITICAL_RATES: [_cells(rate) for rate in rates], SIMULATIONS: []}
+        tables = {CRITICAL_RATES: [cells_of(rate) for rate in rates], SIMULATIONS: []}
         for rate in rates if self.turns else ():
             for side in (-1, 1):
                 ratio = rate.spin_rate_ratio + side * BESIDE
                 row = {"critical_rate": rate.spin_rate_ratio, "spin_rate_ratio": ratio}
                 try:
                     result, seen = ConfirmationJob(system, ratio, self.turns).run(cancelled)
-                    row = _cells(result) | row
+                    row = cells_of(result) | row
                     if seen is not None:
-                        row |= {f"simulated_{name}": v for name, v in _cells(seen).items()}
+                        row |= {f"simulated_{name}": v for name, v in cells_of(seen).items()}
                         row["agrees"] = seen.agrees_with(result)
+                        row["turns_that_tell"] = turns_that_tell(result)
                 except Cancelled:
                     raise
                 except TssError as error:
@@ -85,7 +87,7 @@ class Entry:
             if isinstance(self.job, Boundaries):
                 tables, failure = found
             else:
-                tables = {MULTIPLIERS: [_cells(found)]}
+                tables = {MULTIPLIERS: [cells_of(found)]}
         except Cancelled:
             raise
         except TssError as error:
@@ -141,9 +143,9 @@ class Question:
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
         self.varies_text = parameter in TEXTS
-        self.systems = []
+        self.systems, self._templates = [], {}
         for name in scenarios:
-            template = scenario.load(name)
+            template = self._templates[name] = scenario.load(name)
             if parameter:
                 self.systems += [(name, v, template.build({parameter: v})) for v in values]
             else:
@@ -189,7 +191,8 @@ class Question:
         at, by = divmod(place, len(self.methods))
         ratio, method = self.ratios[at], self.methods[by]
         return Entry(
-            FloquetJob(system, ratio, method), cells | {"spin_rate_ratio": ratio, "method": method}
+            FloquetJob(system, ratio, method, self._templates[name].start(system)),
+            cells | {"spin_rate_ratio": ratio, "method": method},
         )
 
     def columns(self) -> dict[str, dict[str, type]]:
@@ -202,32 +205,34 @@ class Question:
         about = {"job": int, "scenario": str, "tether_law": str}
         if self.parameter:
             about[self.parameter] = str if self.varies_text else float
-        floquet, why = _columns(FloquetResult), {"error": str}
-        simulated = {f"simulated_{name}": kind for name, kind in _columns(Confirmation).items()}
+        floquet, why = columns_of(FloquetResult), {"error": str}
+        simulated = {f"simulated_{name}": kind for name, kind in columns_of(Confirmation).items()}
         return {
             MULTIPLIERS: about | floquet | why,
-            CRITICAL_RATES: about | _columns(CriticalRate) | why,
+            CRITICAL_RATES: about | columns_of(CriticalRate) | why,
             SIMULATIONS: about
             | {"critical_rate": float}
             | floquet
             | simulated
-            | {"agrees": bool}
+            | {"agrees": bool, "turns_that_tell": int}
             | why,
         }
 
 
-def _kinds(result):
+def kinds_of(result: type) -> dict[str, type]:
     """Name and type of every field of a class of results, type hints resolved."""
     hints = get_type_hints(result)
     return {field.name: hints[field.name] for field in fields(result)}
 
 
-def _columns(result):
+def columns_of(result: type) -> dict[str, type]:
     """The columns that the fields of a result become; samples of a simulation are left out."""
     columns = {}
-    for name, kind in _kinds(result).items():
+    for name, kind in kinds_of(result).items():
         if kind is State:
             columns |= {"position_m": list[float], "velocity_m_s": list[float]}
+        elif kind is complex:
+            columns |= {f"{name}_real": float, f"{name}_imag": float}
         elif name == "multiplier":
             columns |= {"multiplier_real": list[float], "multiplier_imag": list[float]}
         elif get_origin(kind) is tuple:
@@ -237,14 +242,16 @@ def _columns(result):
     return columns
 
 
-def _cells(found):
-    """A result as a row with the columns of `_columns`."""
+def cells_of(found: object) -> dict[str, Any]:
+    """A result as a row with the columns of `columns_of`."""
     cells = {}
-    for name, kind in _kinds(type(found)).items():
+    for name, kind in kinds_of(type(found)).items():
         value = getattr(found, name)
         if kind is State:
             cells["position_m"] = value.position_m.ravel().tolist()
             cells["velocity_m_s"] = value.velocity_m_s.ravel().tolist()
+        elif kind is complex:
+            cells |= {f"{name}_real": value.real, f"{name}_imag": value.imag}
         elif name == "multiplier":
             cells["multiplier_real"] = value.real.tolist()
             cells["multiplier_imag"] = value.imag.tolist()

@@ -24,7 +24,7 @@ from tss_ros.core.model.made import (
     tension_and_slope_of_arrays,
 )
 from tss_ros.core.model.system import System
-from tss_ros.core.numerics.simd import kernel, leaf
+from tss_ros.core.numerics.simd import leaf, python_kernel
 
 
 @leaf
@@ -36,7 +36,7 @@ def _tether(v, r, i, j):
     return ex, ey, ez, length, closing / length
 
 
-@kernel
+@python_kernel
 def acceleration(arrays, taut, time, v, r, a):
     """Accelerations of all beads, Eqs. (1) and (32), in the turning frame.
 
@@ -58,7 +58,7 @@ def acceleration(arrays, taut, time, v, r, a):
     for i in range(r.shape[0]):
         x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
         gx, gy, gz = bead_acceleration(arrays, x, y, z, vx, vy, vz, upx, upy, turning)
-        fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning)
+        fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
         a[i, 0] = gx + fx
         a[i, 1] = gy + fy
         a[i, 2] = gz
@@ -79,7 +79,7 @@ def acceleration(arrays, taut, time, v, r, a):
             a[j, 2] += pj * ez
 
 
-@kernel
+@python_kernel
 def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     """Derivatives of `acceleration` by position and velocity, the blocks A and B of Eq. (52).
 
@@ -99,10 +99,14 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     by_v[:] = 0.0
     for i in range(r.shape[0]):
         # Inertia is linear: its derivatives are what it makes of unit vectors.
-        by_r[i, 0, 0], _ = inertia(1.0, 0.0, 0.0, 0.0, centrifugal, 2.0 * turning)
-        _, by_r[i, 1, 1] = inertia(0.0, 1.0, 0.0, 0.0, centrifugal, 2.0 * turning)
-        by_v[i, 0, 1], _ = inertia(0.0, 0.0, 0.0, 1.0, centrifugal, 2.0 * turning)
-        _, by_v[i, 1, 0] = inertia(0.0, 0.0, 1.0, 0.0, centrifugal, 2.0 * turning)
+        by_r[i, 0, 0], by_r[i, 1, 0] = inertia(
+            1.0, 0.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive
+        )
+        by_r[i, 0, 1], by_r[i, 1, 1] = inertia(
+            0.0, 1.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive
+        )
+        by_v[i, 0, 1], _ = inertia(0.0, 0.0, 0.0, 1.0, centrifugal, 2.0 * turning, arrays.drive)
+        _, by_v[i, 1, 0] = inertia(0.0, 0.0, 1.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
         x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
         bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
     for k in range(arrays.ends.shape[0]):
@@ -138,7 +142,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
                     by_v[ji, p, q] += mj * kv
 
 
-@kernel
+@python_kernel
 def stretch(arrays, v, r, excess, growth):
     """Length beyond the rest length and its rate for every tether, g = l - L and l' of Eq. (6).
 
@@ -154,7 +158,7 @@ def stretch(arrays, v, r, excess, growth):
         excess[k] = length - arrays.rest[k]
 
 
-@kernel
+@python_kernel
 def tensions(arrays, v, r, pull):
     """Tension [N] that the law gives every tether, taut or not, of length l and rate l'."""
     for k in range(arrays.ends.shape[0]):

@@ -26,6 +26,8 @@ class KernelArrays(NamedTuple):
         R [m] of the orbit.
     spin : float
         omega [rad/s] of the turning frame against the orbit frame; 0 is the orbit frame itself.
+    drive : float
+        [1/s^2] see `laws.inertia`; 0 but where motions are closed.
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -45,6 +47,7 @@ class KernelArrays(NamedTuple):
     mean_motion: float
     radius: float
     spin: float
+    drive: float
     bilateral: bool
     pushes: bool
     tension: int
@@ -75,6 +78,7 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         mean_motion=float(system.mean_motion_rad_s),
         radius=float(system.orbit_radius_m),
         spin=float(spin_rate_rad_s),
+        drive=0.0,
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

@@ -183,15 +183,17 @@ def _of_all_laws(name, arguments, contribution, zero=""):
 _ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 
-def _bead_function(name, outputs):
+def _bead_function(law, name, outputs):
     inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
-    return {name: simd.leaf(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
+    # Short functions that are called together are compiled together.
+    decorate = simd.leaf if law is BEAD_LAWS[0] else simd.inlined
+    return {name: decorate(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
 
 
 def _acceleration(law):
     name = f"acceleration_{law.name}"
     lines = [f"dx, dy, dz = {name}({_BEAD_VALUE})", _ADD]
-    return _bead_function(name, acceleration_of(law, _LEVEL_UP)), lines
+    return _bead_function(law, name, acceleration_of(law, _LEVEL_UP)), lines
 
 
 def _jacobian(law):
@@ -203,7 +205,7 @@ def _jacobian(law):
         if matrix == "by_v" and not law.by_velocity:
             raise ValueError(f"bead law {law.name!r} depends on the velocity: say by_velocity=True")
         name = f"{matrix}_{law.name}"
-        functions |= _bead_function(name, entries.values())
+        functions |= _bead_function(law, name, entries.values())
         lines.append(f"d = {name}({_BEAD_VALUE})")
         for k, place in enumerate(entries):
             value = f"d[{k}]" if len(entries) > 1 else "d"

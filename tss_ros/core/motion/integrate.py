@@ -27,7 +27,7 @@ from tss_ros.core.motion.step_control import (
 )
 from tss_ros.core.numerics.loops import assign
 from tss_ros.core.numerics.radau_tables import Tables
-from tss_ros.core.numerics.simd import WIDTH, allocating, kernel
+from tss_ros.core.numerics.simd import WIDTH, python_allocating, python_kernel, rounded_kernel
 
 #: Outcomes of `advance`.
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
@@ -77,7 +77,7 @@ def begin(
     return motion
 
 
-@kernel
+@python_kernel
 def _start(arrays, settings, motion, v, r, first_step, excess, growth):
     """Set a motion to time 0 and a state v, r (n,3) of the orbit frame; excess, growth: room."""
     at = motion.progress[0]
@@ -105,7 +105,7 @@ def _start(arrays, settings, motion, v, r, first_step, excess, growth):
             motion.taut[k] = motion.taut[k] and not motion.idle[k]
 
 
-@allocating
+@rounded_kernel
 def _sample(arrays, tables, motion, samples):
     """Write the states at all requested times up to now, in the orbit frame."""
     at = motion.progress[0]
@@ -124,7 +124,7 @@ def _sample(arrays, tables, motion, samples):
         at.sampled += 1
 
 
-@allocating
+@python_allocating
 def advance(arrays, symbolic, tables, settings, motion, limits, samples):
     """Integrate until a time, or until so many steps or switches were made.
 
@@ -205,7 +205,7 @@ def advance(arrays, symbolic, tables, settings, motion, limits, samples):
             _sample(arrays, tables, motion, samples)
 
 
-@allocating
+@python_allocating
 def advance_each(arrays, symbolic, tables, settings, motion, limits, first_step, states):
     """Advance many motions one after another, each by itself.
 

@@ -87,11 +87,11 @@ class Integrator:
             bound=math.exp(math.lgamma(order + 1) / order),
         )
 
-    def of(self, system: System) -> Integrator:
-        """The same for a system that differs in its parameters, not in its graph."""
+    def driven(self, share: float) -> Integrator:
+        """The same with a drive, `laws.inertia`, that gives the spin this share of it in a turn."""
         other = copy.copy(self)
-        other.system = system
-        other.arrays = kernel_arrays(system, self.arrays.spin)
+        drive = share * self.arrays.spin / self.period_s
+        other.arrays = self.arrays._replace(drive=drive)
         return other
 
     def begin(self, state: State) -> IntegratorState:

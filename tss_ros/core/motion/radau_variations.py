@@ -8,7 +8,7 @@ from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.radau_motion import filtered_error, multiply
 from tss_ros.core.numerics.block_lu import factor_wide, solve_wide
 from tss_ros.core.numerics.loops import add, assign
-from tss_ros.core.numerics.simd import allocating, allocating_contracted
+from tss_ros.core.numerics.simd import allocating_contracted, kernel
 
 #: Axes whose variations are coupled: all of them, or, along a motion that stays in the orbit plane,
 #: those in the plane and the one out of it apart.
@@ -45,7 +45,7 @@ def _stage_jacobians(arrays, symbolic, tables, step):
     return stages
 
 
-@allocating
+@kernel
 def _planar(step):
     """Whether a step stays in the orbit plane exactly."""
     for i in range(step.r.shape[0]):
@@ -139,15 +139,14 @@ def vary(arrays, symbolic, tables, settings, step, newton, x_v, x_r):
     multiply(symbolic, by_r, x_r, b_v)
     multiply(symbolic, by_v, x_v, b_v)
     # r' = v holds in every stage, so the stages' sums of positions are sums of their velocities.
-    weight = tables.error @ tables.a
     for i in range(n):
         add(end_v[i], 1.0, zx[i, s - 1])
         add(end_r[i], h, x_v[i])
-        add(b_r[i], tables.error @ tables.c, x_v[i])
+        add(b_r[i], tables.error_of_line, x_v[i])
         for j in range(s):
             add(end_r[i], h * tables.a[s - 1, j], zx[i, j])
             add(b_v[i], tables.error[j] / h, zx[i, j])
-            add(b_r[i], weight[j], zx[i, j])
+            add(b_r[i], tables.error_of_integral[j], zx[i, j])
     error = filtered_error(symbolic, tables, settings, h, newton, b_v, b_r)
     if error <= settings.tolerance:
         for i in range(n):

@@ -13,11 +13,10 @@ import numpy as np
 
 from tss_ros.core.model.forces import stretch, tensions
 from tss_ros.core.model.made import PULL, SQUARE, TETHER_SLOTS
-from tss_ros.core.numerics.bernstein import DEEPEST, first_zero
+from tss_ros.core.numerics.bernstein import first_zero
 from tss_ros.core.numerics.loops import add, assign
 from tss_ros.core.numerics.simd import (
     WIDTH,
-    allocating,
     fabs,
     inlined,
     kernel,
@@ -25,6 +24,7 @@ from tss_ros.core.numerics.simd import (
     load,
     load3,
     number,
+    rounded_kernel,
     smaller,
     splat,
     store,
@@ -52,27 +52,24 @@ def _sign(pushes, taut, idle, at_rest):
     return 1.0 if taut else -1.0 if idle else 0.0
 
 
-@allocating
-def first_switch(arrays, tables, step, idle):
+@rounded_kernel
+def first_switch(arrays, tables, step, idle, room):
     """Earliest point of a step, as a fraction, where a tether leaves its mode; 2 if none.
 
-    Returns the fraction and the guard.
+    `room` is a `step.ImplicitRoom`. Returns the fraction and the guard.
     """
-    s, m = tables.stages, arrays.rest.size
-    excess, pull = np.empty((s + 1, m)), np.zeros((s + 1, m))
-    growth = np.empty(m)
-    r, v = step.r.copy(), step.v.copy()
+    s, m, v, r, pieces = tables.stages, arrays.rest.size, room.v, room.r, room.pieces
+    excess, pull, growth = room.margins[0], room.margins[1], room.growth
     for j in range(s + 1):
+        assign(r, step.r)
+        assign(v, step.v)
         if j > 0:
-            assign(r, step.r)
             add(r, 1.0, step.dr[j - 1])
-            assign(v, step.v)
             add(v, 1.0, step.dv[j - 1])
         stretch(arrays, v, r, excess[j], growth)
         if not arrays.pushes:
             tensions(arrays, v, r, pull[j])
     earliest, which = 2.0, -1
-    coefficient, pieces = np.empty(s + 1), np.empty((DEEPEST + 2, s + 3))
     for guard in range(m if arrays.pushes else 2 * m):
         k, at_rest = guard % m, guard < m
         sign, lowest = _sign(arrays.pushes, step.taut[k], idle[k], at_rest), np.inf
@@ -82,10 +79,10 @@ def first_switch(arrays, tables, step, idle):
             total = 0.0
             for j in range(s + 1):
                 total += tables.bernstein[i, j] * (excess[j, k] if at_rest else pull[j, k])
-            coefficient[i] = sign * total
-            lowest = min(lowest, coefficient[i])
+            pieces[0, i] = sign * total
+            lowest = min(lowest, pieces[0, i])
         if lowest < 0.0:
-            zero = first_zero(coefficient, pieces)
+            zero = first_zero(pieces, s + 1)
             if zero < earliest:
                 earliest, which = zero, guard
     return earliest, which
@@ -194,7 +191,9 @@ def _bracket_zero(series, lane, size):
             positive = not positive
             changes += 1
     if changes > 1:
-        zero = first_zero(series.bernstein[:size, lane], series.pieces)
+        for i in range(size):
+            series.pieces[0, i] = series.bernstein[i, lane]
+        zero = first_zero(series.pieces, size)
         margin[TIME, lane], reach = zero * high, 1e-6 * high
         low, high = max(0.0, zero * high - reach), min(high, zero * high + reach)
     if zero > 1.0:

@@ -23,6 +23,7 @@ from tss_ros.core.motion.step_control import (
     SMALLEST_BEFORE_SWITCH,
     TOO_SMALL,
 )
+from tss_ros.core.numerics.bernstein import DEEPEST
 from tss_ros.core.numerics.lane_arrays import in_lanes
 from tss_ros.core.numerics.loops import add, sum_of
 from tss_ros.core.numerics.simd import (
@@ -32,6 +33,7 @@ from tss_ros.core.numerics.simd import (
     inlined_by_llvm,
     kernel,
     load,
+    rounded_kernel,
     splat,
     store,
 )
@@ -69,6 +71,10 @@ class ImplicitRoom(NamedTuple):
         A trial state.
     excess, growth : ndarray, shape (m,)
         Stretch of the tethers [m] and its rate [m/s].
+    margins : ndarray, shape (2, stages + 1, m)
+        Stretch [m] and tension [N] of the tethers at the start and the nodes.
+    pieces : ndarray, shape (DEEPEST + 2, stages + 3)
+        Room for `bernstein.first_zero`.
     """
 
     newton: radau_motion.Newton
@@ -78,6 +84,8 @@ class ImplicitRoom(NamedTuple):
     r: np.ndarray
     excess: np.ndarray
     growth: np.ndarray
+    margins: np.ndarray
+    pieces: np.ndarray
 
 
 @allocating
@@ -104,6 +112,8 @@ def implicit_room(arrays, symbolic, tables):
         np.empty((n, 3)),
         np.empty(m),
         np.empty(m),
+        np.zeros((2, s + 1, m)),
+        np.empty((DEEPEST + 2, s + 3)),
     )
 
 
@@ -196,7 +206,7 @@ def explicit_step(arrays, settings, motion, room, stop):
     return h, natural, which
 
 
-@allocating
+@rounded_kernel
 def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follows):
     """One step by Radau collocation, up to the first switch.
 
@@ -236,7 +246,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
     step_control.newton_succeeded(at, full, iterations)
     fraction, which, h = 2.0, -1, full
     if not arrays.bilateral:
-        fraction, which = first_switch(arrays, tables, step, motion.idle)
+        fraction, which = first_switch(arrays, tables, step, motion.idle, room)
     if which >= 0:
         h, target, iterations = _end_on_switch(
             arrays, symbolic, tables, settings, step, room, which, fraction

@@ -23,6 +23,7 @@ from tss_ros.core.numerics.simd import (
     load3,
     number,
     only_where,
+    python_kernel,
     splat,
     store,
     store3,
@@ -192,8 +193,9 @@ def _beads(arrays, series, block, k, weight):
     gx, gy, gz = bead_series(
         arrays, series.r, 3 * WIDTH * size * block, series.beads, at, k
     )
+    x, y, _ = load3(series.r, now)
     vx, vy, _ = load3(series.r, now + 3 * WIDTH)
-    fx, fy = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
+    fx, fy = inertia(x, y, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1), arrays.drive)
     store3(series.r, now + 6 * WIDTH, weight * (gx + fx), weight * (gy + fy), weight * gz)
 
 
@@ -278,7 +280,7 @@ def _reach(allowed, coefficient, power):
     return (allowed / coefficient) ** (1.0 / power) if coefficient > 0.0 else np.inf
 
 
-@kernel
+@python_kernel
 def evaluate(series_r, time, v, r):
     """Write velocity and position (n,3) at a time [s] since the start of the step."""
     size = series_r.shape[1]

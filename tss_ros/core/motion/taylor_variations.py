@@ -27,6 +27,7 @@ from tss_ros.core.numerics.simd import (
     load,
     load3,
     number,
+    separate_kernel,
     splat,
     store,
     store3,
@@ -80,7 +81,7 @@ def blank(beads, tethers, order, columns):
     )
 
 
-@inlined
+@separate_kernel
 def expand_variations(arrays, taut, series, step, x_v, x_r, varied):
     """Fill `varied` with the variations that start at x_v, x_r along the motion of `series`.
 
@@ -123,8 +124,9 @@ def _bead(arrays, varied, first, bead, k):
     row = 3 * WIDTH * x.shape[2]  # from one coefficient to the next
     now = first + row * k + 3 * WIDTH * bead
     weight, entry = 1.0 / ((k + 1) * (k + 2)), 9 * WIDTH * block * x.shape[1] + at
+    px, py, _ = load3(x, now)
     vx, vy, _ = load3(x, now + row)
-    ax, ay = inertia(0.0, 0.0, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1))
+    ax, ay = inertia(px, py, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1), arrays.drive)
     az = splat(0.0)
     for term in range(min(k + 1, varied.terms[0, block])):
         px, py, pz = load3(x, now - row * term)

@@ -10,7 +10,7 @@ DEEPEST = 34
 
 
 @kernel
-def first_zero(coefficient, pieces):
+def first_zero(pieces, count):
     """First point of [0, 1] where a polynomial in Bernstein form becomes negative, or 2.
 
     The polynomial is taken to start at or above zero. The convex hull of the coefficients bounds
@@ -19,19 +19,18 @@ def first_zero(coefficient, pieces):
 
     Parameters
     ----------
-    coefficient : ndarray, shape (degree + 1,)
-    pieces : ndarray, shape (DEEPEST + 2, at least degree + 3)
-        Room: coefficients, beginning and width of each piece.
+    pieces : ndarray, shape (DEEPEST + 2, at least count + 2)
+        In the first row, the coefficients. Overwritten by those of each piece, with its beginning
+        and width.
+    count : int
+        How many there are: degree + 1.
 
     Returns
     -------
     float
     """
-    count = coefficient.size
     low, width = count, count + 1
-    for i in range(count):
-        pieces[0, i] = coefficient[i]
-    pieces[0, 0] = max(coefficient[0], 0.0)
+    pieces[0, 0] = max(pieces[0, 0], 0.0)
     pieces[0, low], pieces[0, width] = 0.0, 1.0
     depth = 1
     while depth > 0:

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from tss_ros.core.numerics.loops import add, assign
-from tss_ros.core.numerics.simd import allocating, kernel
+from tss_ros.core.numerics.simd import allocating, kernel, python_allocating, python_kernel
 
 
 class Symbolic(NamedTuple):
@@ -117,7 +117,7 @@ def _substitute(symbolic, factored, b, room, subtract_product, apply):
         apply(factored[symbolic.order[k]], y, room)
 
 
-@kernel
+@python_kernel
 def factor(symbolic, matrix):
     """Factor in place: diagonal blocks become their inverses, lower blocks the multipliers.
 
@@ -147,7 +147,7 @@ def factor(symbolic, matrix):
                         out[row, col] -= a * up[0, col] + b * up[1, col] + c * up[2, col]
 
 
-@kernel
+@python_kernel
 def solve(symbolic, factored, b):
     """Solve for one right-hand side in place.
 
@@ -198,7 +198,7 @@ def solve_columns(symbolic, factored, b):
     _substitute(symbolic, factored, b, 0, _subtract_product3, _apply_to_columns3)
 
 
-@allocating
+@python_allocating
 def factor_wide(symbolic, matrix):
     """`factor` for blocks of any width.
 
@@ -222,7 +222,7 @@ def factor_wide(symbolic, matrix):
                 _subtract_product(out, low, matrix[symbolic.upper[q]], room)
 
 
-@allocating
+@python_allocating
 def solve_wide(symbolic, factored, b):
     """`solve_columns` for blocks of any width.
 

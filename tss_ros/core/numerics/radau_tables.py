@@ -37,6 +37,10 @@ class Tables(NamedTuple):
         Columns of the eigenvector matrix so that its product is the sum over all lanes.
     error : ndarray, shape (s,)
         Weights of the stage increments in the error estimate.
+    error_of_integral : ndarray, shape (s,)
+        Of the derivative's increments, in that of the integral.
+    error_of_line : float
+        Of a constant derivative.
     power : ndarray, shape (s + 1, s + 1)
         From a polynomial's values at (0, c) to its monomial coefficients.
     bernstein : ndarray, shape (s + 1, s + 1)
@@ -54,6 +58,8 @@ class Tables(NamedTuple):
     left: np.ndarray
     right: np.ndarray
     error: np.ndarray
+    error_of_integral: np.ndarray
+    error_of_line: float
     power: np.ndarray
     bernstein: np.ndarray
 
@@ -115,6 +121,8 @@ def radau(stages: int) -> Tables:
         left=lefts,
         right=rights,
         error=error,
+        error_of_integral=error @ a,
+        error_of_line=float(error @ c),
         power=monomial,
         bernstein=from_monomials(stages) @ monomial,
     )

@@ -13,38 +13,67 @@ from typing import Any
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
+from numba.core.registry import CPUDispatcher
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
-from tss_ros.core.fingerprint import fingerprint
+from tss_ros.core.fingerprint import KERNELS, fingerprint
 
 
-def _cached(**options):
-    """A decorator like `njit` whose cache holds for as long as nothing in the core has changed.
+def _compiled(cache=True, python=False, **options):
+    """A decorator like `njit`, for functions that Python calls or that only compiled code calls.
 
-    Numba itself looks only at the file of the function, not at what is inlined into it.
+    An entrance for Python takes longer to compile than most kernels. Caches hold for as long as
+    nothing that kernels are made of has changed: numba itself looks only at the file of the
+    function, not at what is inlined into it.
     """
+    jit = njit(
+        cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True,
+        no_cpython_wrapper=not python, **options,
+    )  # fmt: skip
 
     def decorate(function):
-        dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
-        dispatcher._cache._cache_file._source_stamp = fingerprint()
+        dispatcher = jit(function)
+        if cache:
+            dispatcher._cache._cache_file._source_stamp = fingerprint(KERNELS)
+        if not python:
+            dispatcher.__class__ = _Inner
         return dispatcher
 
     return decorate
 
 
-#: Decorates kernels that allocate nothing, nor do those they call. Counting references to their
-#: arrays, which numba does otherwise, takes as long as a short kernel itself.
-kernel = _cached(fastmath={"contract"}, _nrt=False)
+class _Inner(CPUDispatcher):
+    """A compiled function without an entrance for Python."""
+
+    def __call__(self, *_, **__):
+        raise TypeError(f"{self.__name__} can be called by compiled code only")
+
+
+#: Kernels that allocate nothing, nor do those they call. Counting references to their arrays, which
+#: numba does otherwise, takes as long as a short kernel itself.
+_NO_ALLOCATION = {"fastmath": {"contract"}, "_nrt": False}
+#: Decorates such kernels; and those of them that Python calls, too.
+kernel = _compiled(**_NO_ALLOCATION)
+python_kernel = _compiled(python=True, **_NO_ALLOCATION)
 
 #: The same for made kernels, which have no file for numba's cache; those that call them have.
-uncached = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False)
+uncached = _compiled(cache=False, **_NO_ALLOCATION)
 
-#: Decorates kernels that allocate.
-allocating = _cached()
-#: The same where products may be added without rounding in between.
-allocating_contracted = _cached(fastmath={"contract"})
+#: Decorates large kernels that LLVM shall not merge with their caller: the loops of either would
+#: have too few registers.
+separate_kernel = _compiled(forceinline=False, **_NO_ALLOCATION)
+
+#: Decorates kernels without allocation where products are rounded before they are added.
+rounded_kernel = _compiled(_nrt=False, fastmath=False)
+
+#: Decorates kernels that allocate; and those of them that Python calls, too. What is not said here
+#: would follow from the kernel that calls them first.
+allocating = _compiled(_nrt=True)
+python_allocating = _compiled(python=True, _nrt=True)
+#: The same as `allocating` where products may be added without rounding in between.
+allocating_contracted = _compiled(fastmath={"contract"}, _nrt=True)
 
 #: Decorates small pieces of kernels that take whole tuples of arrays: to pass those takes longer
 #: than their work.
@@ -52,10 +81,10 @@ inlined = njit(inline="always")
 
 #: The same for pieces without such tuples. These are compiled by themselves, which takes less time,
 #: and then inlined by LLVM.
-leaf = njit(nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, forceinline=True)
+leaf = _compiled(cache=False, forceinline=True, **_NO_ALLOCATION)
 
 #: The same for the one large piece that is called once a step.
-inlined_by_llvm = _cached(fastmath={"contract"}, _nrt=False, forceinline=True)
+inlined_by_llvm = _compiled(forceinline=True, **_NO_ALLOCATION)
 
 WIDTH = 4
 #: LLVM's type of a register.

@@ -23,6 +23,11 @@ STILL_CLOSED = 0.01
 SAMPLES = 200
 #: A formation is lost when a bead leaves its place by this share of the radius.
 LOST = 0.2
+#: It is lost as well when it turns by so much of a turn less or more than it should in a turn, or
+#: a tether shrinks to this share of its rest length.
+ASTRAY, COLLAPSED = 0.25, 0.5
+#: How often a multiplier's distance from 1 a drift in proportion to time may be.
+DRIFT = 2.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,13 @@ class Confirmation:
     ----------
     held : bool
         No bead left its distance from the centre of mass, nor its undisturbed height over the
-        orbit plane, by more than `LOST`.
+        orbit plane, by more than `LOST`; the formation turned as often as it should, within
+        `ASTRAY`; and no tether shrank to `COLLAPSED`.
+    turned : float
+        Turns about the centre of mass in the sense of the spin over those that it should make, of
+        the bead for which that is farthest from 1.
+    shortest : float
+        Least length of a tether over its rest length.
     turns_to_settle : float
         Turns after which the deviation from the undisturbed motion, measured from the centre of
         mass, stays below a tenth of its largest value; infinity if it does not.
@@ -57,6 +68,8 @@ class Confirmation:
     """
 
     held: bool
+    turned: float
+    shortest: float
     turns_to_settle: float
     growth_per_turn: float
     deviation_from_origin: float
@@ -69,9 +82,9 @@ class Confirmation:
     def agrees_with(self, result: FloquetResult) -> bool | None:
         """Whether this motion is what a `FloquetResult` at its rate says.
 
-        A formation said to be stable holds. One without a periodic motion is lost or does not
-        settle. One that is unstable is lost, or departs at least as fast as the root of the largest
-        multiplier.
+        A formation said to be stable holds. One of which no motion was found is lost or does not
+        settle. One that is unstable is lost, or departs at least as fast as the root of the
+        multiplier that decided.
 
         Parameters
         ----------
@@ -80,18 +93,35 @@ class Confirmation:
         Returns
         -------
         bool or None
-            None if the multipliers grow so slowly that `turns` do not tell it from a drift in
-            proportion to time.
+            None if that cannot be told: the simulation is shorter than `turns_that_tell`, or no
+            motion was found and the formation settles, perhaps in another one.
         """
         if result.verdict in ("neutral", "asymptotically stable"):
             return self.held
         if not self.held:
             return True
-        if result.verdict == "no periodic motion":
-            return math.isinf(self.turns_to_settle)
-        if result.max_modulus < 1.0 + 2.0 / self.turns[-1] or math.isnan(self.growth_per_turn):
+        if result.verdict == "none found":
+            return True if math.isinf(self.turns_to_settle) else None
+        if self.turns[-1] < turns_that_tell(result) or math.isnan(self.growth_per_turn):
             return None
-        return self.growth_per_turn > result.max_modulus**0.5
+        return self.growth_per_turn > result.deciding_modulus**0.5
+
+
+def turns_that_tell(result: FloquetResult) -> int:
+    """Fewest turns of a simulation that tell an instability from a drift in proportion to time.
+
+    Parameters
+    ----------
+    result : FloquetResult
+
+    Returns
+    -------
+    int
+        1 where the verdict is not "unstable".
+    """
+    if result.verdict != "unstable":
+        return 1
+    return math.ceil(DRIFT / max(result.deciding_modulus - 1.0, 1e-9))
 
 
 def confirm(
@@ -147,7 +177,9 @@ def confirm(
 
     undisturbed, calm, *_ = run(state)
     position, pushed, velocity, switches = run(disturbed(state, disturbance_m, seed))
-    _, tension, taut = tether_state(system, position, velocity)
+    length, tension, taut = tether_state(system, position, velocity)
+    shortest = float(np.min(length / system.rest_length_m))
+    turned = _turned(pushed, system.spin_rate_rad_s(spin_rate_ratio)) / turns
     radius = np.linalg.norm(state.position_m, axis=1)
     size = np.max(radius)
     beyond = radius > 1e-6 * size
@@ -158,8 +190,11 @@ def confirm(
     _, nudged, *_ = run(disturbed(state, SMALL * size, seed))
     loud = np.flatnonzero(history > 0.1 * np.max(history))
     settled = loud[-1] + 1 < len(times) - SAMPLES // 2
+    near = max(from_centre, height) < LOST
     return Confirmation(
-        bool(from_centre < LOST and height < LOST),
+        bool(near and abs(turned - 1.0) < ASTRAY and shortest > COLLAPSED),
+        turned,
+        shortest,
         float(times[loud[-1] + 1] / period) if settled else math.inf,
         _growth(nudged, calm, size),
         float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
@@ -169,6 +204,16 @@ def confirm(
         times / period,
         history,
     )
+
+
+def _turned(arm, spin):
+    """Turns in the sense of the spin of the bead that turns most wrongly, arms (k, n, 3)."""
+    distance = np.mean(np.hypot(arm[:, :, 0], arm[:, :, 1]), axis=0)
+    angle = np.unwrap(np.arctan2(arm[:, :, 1], arm[:, :, 0]), axis=0)
+    turns = (angle[-1] - angle[0]) * math.copysign(1.0, spin) / (2.0 * math.pi)
+    far = np.flatnonzero(distance > 0.1 * np.max(distance))
+    whole = round((len(arm) - 1) / SAMPLES)
+    return float(turns[far[np.argmax(np.abs(turns[far] - whole))]])
 
 
 def _growth(nudged, calm, size):

@@ -11,8 +11,11 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System, finite
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.krein import may_meet
+from tss_ros.core.stability.resonances import name_resonance
+from tss_ros.core.stability.result import FloquetResult
 
-CAUSES = ("first slack", "axis tilt", "shape", "spin", "no periodic motion")
+CAUSES = ("first slack", "axis tilt", "shape", "spin", "none found")
 
 #: Slower spin than this is left out of an interval: one turn becomes longer than twenty orbits.
 SLOWEST = 0.05
@@ -31,11 +34,15 @@ class CriticalRate:
     cause : str
         One of `CAUSES`: "first slack" if tethers let go on one side and on the other do not, that
         is, go slack or, where their law never pushes, stop pulling (the motion may stay stable a
-        little further); else the family that leaves the unit circle.
+        little further); "none found" where the family of the formation's motions ends; else the
+        family of the multiplier that leaves the unit circle.
     stable_side : int
         +1 if the formation is stable and taut at larger (more positive) w, -1 if at smaller.
     pushing_share : float
         Share of the time that taut tethers push, on the motion at the bracket's stable end.
+    resonance : str
+        Where multipliers leave the unit circle: the modes that meet and their condition, see
+        `name_resonance`. Where the family ends: how. Else "".
     """
 
     spin_rate_ratio: float
@@ -43,6 +50,7 @@ class CriticalRate:
     cause: str
     stable_side: int
     pushing_share: float = math.nan
+    resonance: str = ""
 
 
 def find_critical_rates(
@@ -64,7 +72,9 @@ def find_critical_rates(
     tolerance : float
         Half-width to which every boundary is bracketed.
     spacing : float
-        Distance of the first samples; stable or unstable pockets narrower than this may be missed.
+        Distance of the first samples. Narrower bands of instability out of the orbit plane are
+        found as well, where multipliers pass each other between two samples; other pockets that are
+        narrower may be missed.
     progress : callable, optional
         Called with the fraction of the work done, from 0 to 1, and the boundaries found so far.
     cancelled : callable, optional
@@ -116,29 +126,25 @@ class _Sample:
     ratio: float
     stable: bool
     slack: bool
-    cause: str
-    pushing_share: float
+    result: FloquetResult
+
+    @property
+    def cause(self):
+        return self.result.deciding_family or "none found"
 
 
 def _sample_at(system, ratio, cancelled):
     result = compute_floquet(system, ratio, certify=False, cancelled=cancelled)
     stable = result.verdict in ("neutral", "asymptotically stable")
-    cause = "no periodic motion"
-    if result.verdict == "unstable":
-        leaving = {
-            family: max(abs(m) for m, f in zip(result.multiplier, result.family) if f == family)
-            for family in ("axis tilt", "shape")
-            if family in result.family
-        }
-        cause = max(leaving, key=leaving.get, default="spin")
-        if not leaving or leaving[cause] <= 1.0 + result.tolerance:
-            cause = "spin"
-    return _Sample(ratio, stable, result.switches > 0, cause, result.pushing_share)
+    return _Sample(ratio, stable, result.switches > 0, result)
 
 
 def _bracket(system, a, b, tolerance, cancelled):
     """Boundaries between two samples, in order; none where both are alike."""
-    if (a.stable, a.slack) == (b.stable, b.slack) or not (a.stable or b.stable):
+    if not (a.stable or b.stable):
+        return []
+    alike = (a.stable, a.slack) == (b.stable, b.slack)
+    if alike and not may_meet(system, a.result, b.result):
         return []
     if b.ratio - a.ratio > 2.0 * tolerance:
         middle = _sample_at(system, 0.5 * (a.ratio + b.ratio), cancelled)
@@ -146,14 +152,26 @@ def _bracket(system, a, b, tolerance, cancelled):
             *_bracket(system, a, middle, tolerance, cancelled),
             *_bracket(system, middle, b, tolerance, cancelled),
         ]
+    if alike:
+        return []
     better, worse = (a, b) if (a.stable, not a.slack) > (b.stable, not b.slack) else (b, a)
-    slack = worse.stable or (worse.slack and not better.slack and worse.cause != "axis tilt")
+    slack = worse.stable or (
+        worse.slack and not better.slack and worse.cause not in ("axis tilt", "none found")
+    )
     return [
         CriticalRate(
             0.5 * (a.ratio + b.ratio),
             0.5 * (b.ratio - a.ratio),
             "first slack" if slack else worse.cause,
             1 if better is b else -1,
-            better.pushing_share,
+            better.result.pushing_share,
+            "" if slack else _why(system, worse.result),
         )
     ]
+
+
+def _why(system, result):
+    """What ends stability at a result that is not stable, in words."""
+    if result.verdict == "unstable":
+        return name_resonance(system, result)
+    return result.message.split(";")[0]

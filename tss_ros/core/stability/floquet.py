@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable
 
 import numpy as np
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
-from tss_ros.core.model import forces
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
-from tss_ros.core.stability import harmonic_balance, leading_multipliers
+from tss_ros.core.stability import families, harmonic_balance, leading_multipliers
+from tss_ros.core.stability.acceptance import look
+from tss_ros.core.stability.closing import CLOSED
+from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.frozen import frozen_jacobian
-from tss_ros.core.stability.judge import drift_radius, judge, judge_frozen
-from tss_ros.core.stability.modes import label
+from tss_ros.core.stability.judge import (
+    SMALLEST_DRIFT,
+    drift_radius,
+    judge,
+    judge_frozen,
+)
+from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import (
-    CLOSED,
-    close_by_shooting,
     closure,
+    flow_direction,
     from_scaled,
     integrate_turn,
     to_scaled,
 )
+from tss_ros.core.stability.spectrum import spectrum
 
-#: Samples of a turn that tell how often taut tethers push.
-PUSHING_SAMPLES = 360
+#: Largest distance of a motion from the start given for it, over the radius and the rim speed.
+NEAR_START = 0.2
 #: Most beads of which all multipliers are computed unless asked, and how many of others.
 MOST_BEADS, LEADING = 100, 12
 
@@ -60,8 +66,9 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Start; if not given `initial_state`, and where that leads to no motion that closes also
-        `averaged_state`, unless tethers go slack from both and that one closes no better.
+        Next to the motion that is meant; that of the formation's own family, which comes down from
+        fast spin without a break (`families.OwnFamily`), if not given. Without correction, and for
+        "frozen", the start itself, `initial_state` if not given.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -90,36 +97,122 @@ def compute_floquet(
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    starts = iter([state]) if state is not None else initial_states(system, spin_rate_ratio)
     try:
-        start = next(starts)
+        start = state or next(initial_states(system, spin_rate_ratio))
     except NoSteadyState as error:
         start = State(system.layout_m, rigid_velocity(system.layout_m, spin))
-        return _without_motion(method, system, spin, start, error)
-    integrator = Integrator(system, spin, rtol, np.max(np.linalg.norm(start.position_m, axis=1)))
+        return _without_motion(method, system, spin, start, str(error))
+    length = float(np.max(np.linalg.norm(start.position_m, axis=1)))
+    integrator = Integrator(system, spin, rtol, length)
     if method == "frozen":
         return _frozen(integrator, start, cancelled)
     if leading is None and system.n > MOST_BEADS:
         leading = LEADING
+    if leading is not None and not 1 <= leading < 6 * system.n:
+        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
     try:
         if leading is not None:
-            if not 1 <= leading < 6 * system.n:
-                raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
             return _leading(integrator, start, leading, correct, cancelled)
-        if correct:
-            starts = itertools.chain([start], starts)
-            turn, start, missed_by = close_by_shooting(integrator, starts, cancelled)
-        else:
-            turn = integrate_turn(integrator, start, cancelled)
-            missed_by = turn.closure_residual
+        if not correct:
+            words = _origin(start)
+            return _whole(integrator, start, words, math.nan, (certify, False), cancelled)
+        return _of_motion(integrator, start, state, certify, cancelled)
     except IntegrationError as error:
-        return _without_motion(method, system, spin, start, error)
-    return _whole(turn, start, missed_by, correct, certify, cancelled)
+        return _without_motion(method, system, spin, start, str(error))
 
 
-def _without_motion(method, system, spin, state, reason):
-    """The result where there is no configuration, or no turn could be integrated."""
-    return FloquetResult(**_question(method, system, spin), state=state, message=str(reason))
+def _of_motion(integrator, start, state, certify, cancelled):
+    """The result of the motion that is meant, found from a state or of the own family."""
+    system, spin = integrator.system, integrator.arrays.spin
+    missed_by = _missed_by(integrator, start, cancelled)
+    motion, words = _search(integrator, state, cancelled)
+    if motion is None:
+        return _without_motion("monodromy", system, spin, start, words, missed_by)
+    words = f"{words}, corrected from closure residual {missed_by:.1e}"
+    driven = integrator.driven(motion.spin_loss)
+    return _whole(driven, motion, words, missed_by, (certify, True), cancelled)
+
+
+def _missed_by(integrator, start, cancelled):
+    """Closure residual of a start, infinite if it cannot be integrated."""
+    try:
+        return closure(integrator, start, cancelled).residual
+    except IntegrationError:
+        return math.inf
+
+
+def _search(integrator, state, cancelled):
+    """The motion that a question is about, None if none was found; and words on it."""
+    system = integrator.system
+    ratio = integrator.arrays.spin / system.orbit_rate_rad_s
+    if state is not None:
+        return _near(integrator, ratio, state, cancelled)
+    if system.n > families.MOST_BEADS:
+        motion, words = _first_of_starts(integrator, ratio, cancelled)
+        words += f"; not followed from fast spin, having more than {families.MOST_BEADS} beads"
+        return motion, words
+    try:
+        motion = families.own_motion(system, ratio, cancelled)
+        return motion, f"start from {motion.origin}"
+    except Ended as end:
+        motion, words = _first_of_starts(integrator, ratio, cancelled)
+        if motion is not None:
+            words = f"another motion was found: {_in_brief(integrator, motion, cancelled)}, {words}"
+        return None, f"none found of the formation's own family: {end}; {words}"
+
+
+def _near(integrator, ratio, state, cancelled):
+    """The motion next to a start that was given."""
+    motion = families.nearest_motion(integrator.system, ratio, state, cancelled)
+    if refusal := _refusal(integrator, motion):
+        return None, f"none found next to the given state: {refusal}"
+    apart = to_scaled(integrator, motion.state) - to_scaled(integrator, state)
+    if (farthest := float(np.max(np.abs(apart)))) > NEAR_START:
+        return None, (
+            f"none found next to the given state; another motion was found,"
+            f" {farthest:.2f} of the radius away: {_in_brief(integrator, motion, cancelled)}"
+        )
+    return motion, f"start from {motion.origin}"
+
+
+def _first_of_starts(integrator, ratio, cancelled):
+    """The first motion that is found from the formation's initial states; and words on it."""
+    tried = []
+    for start in initial_states(integrator.system, ratio):
+        try:
+            motion = families.nearest_motion(integrator.system, ratio, start, cancelled)
+            refusal = _refusal(integrator, motion)
+        except IntegrationError as error:
+            refusal = str(error)
+        if not refusal:
+            return motion, f"start from {motion.origin}"
+        tried.append(f"from {start.origin}: {refusal}")
+    return None, f"tried {'; '.join(tried)}"
+
+
+def _refusal(integrator, motion):
+    """Why what Newton's method led to is no motion of the formation; "" if it is."""
+    if not motion.residual <= CLOSED:
+        return f"the best turn closes to {motion.residual:.1e} only"
+    if motion.spin_loss > families.MOST_LOSS:
+        return f"the best turn loses {motion.spin_loss:.2%} of its spin"
+    refusal = look(integrator.driven(motion.spin_loss), motion.state).refusal
+    return f"the only motion found is refused: {refusal}" if refusal else ""
+
+
+def _in_brief(integrator, motion, cancelled):
+    """The verdict on a motion, in words."""
+    driven = integrator.driven(motion.spin_loss)
+    found = _whole(driven, motion, "", math.nan, (False, True), cancelled)
+    return f"{found.verdict}, largest modulus {found.max_modulus:.6g}"
+
+
+def _without_motion(method, system, spin, state, words, missed_by=math.nan):
+    """The result where there is no configuration, no turn, or no motion that was found."""
+    return FloquetResult(
+        **_question(method, system, spin), state=state, message=words,
+        initial_closure_residual=missed_by,
+    )  # fmt: skip
 
 
 def _question(method, system, spin):
@@ -132,21 +225,10 @@ def _question(method, system, spin):
     }
 
 
-def _pushing_share(integrator, start):
-    """Share of the time that taut tethers push in the turn from a start."""
-    system = integrator.system
-    if not system.law.pushes or not np.any(system.damping_n_s_per_m):
-        return 0.0
-    times = integrator.period_s / PUSHING_SAMPLES * np.arange(PUSHING_SAMPLES)
-    samples, motion = integrator.samples(times), integrator.begin(start)
-    integrator.advance(motion, integrator.period_s, samples=samples)
-    _, tension, taut = forces.tether_state(system, samples.r, samples.v)
-    return forces.pushing_share(tension, taut)
-
-
-def _result(method, integrator, multiplier, family, judgement, residual=(), **known):
-    """The result of a judgement, largest modulus first."""
-    order = np.argsort(-np.abs(multiplier), kind="stable")
+def _result(method, integrator, spectrum, family, judgement, residual=(), **known):
+    """The result of a judgement of multipliers and vectors, largest modulus first."""
+    multiplier, vectors = spectrum
+    order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(
         **_question(method, integrator.system, integrator.arrays.spin),
         multiplier=multiplier[order],
@@ -154,50 +236,51 @@ def _result(method, integrator, multiplier, family, judgement, residual=(), **kn
         max_modulus=judgement.max_modulus,
         max_modulus_nontrivial=judgement.max_modulus_nontrivial,
         verdict=judgement.verdict,
+        deciding_modulus=float(abs(multiplier[decided])) if decided >= 0 else math.nan,
+        deciding_family=str(family[decided]) if decided >= 0 else "",
         tolerance=float(np.min(judgement.tolerance)),
         trivial_error=judgement.trivial_error,
         jordan_error=judgement.jordan_error,
         residual=np.asarray(residual)[order] if len(residual) else np.empty(0),
+        vectors=vectors[:, order],
         **known,
     )
 
 
-def _whole(turn, initial, initial_closure, correct, certify, cancelled):
-    """The result of a turn with its whole matrix."""
-    integrator, closed_by = turn.integrator, turn.closure_residual
-    multiplier, vectors = np.linalg.eig(turn.matrix)  # Eqs. (25) and (27)
-    family = label(integrator.system, turn.start, multiplier, vectors)
-    periodic = closed_by <= CLOSED or not correct
-    judgement = judge(multiplier, family, closed_by, periodic)
+def _whole(integrator, motion, words, missed_by, how, cancelled):
+    """The result of a motion with its whole matrix; how: whether to certify, whether it closes."""
+    certify, corrected = how
+    start, loss = (motion.state, motion.spin_loss) if corrected else (motion, 0.0)
+    turn = integrate_turn(integrator, start, cancelled)
+    seen = look(integrator, start)
+    left = motion.residual if corrected else turn.closure_residual
+    found = spectrum(integrator, start, turn.end, turn.matrix, left, loss)
     proofs = {}
     if certify:
 
         def settled(values):
-            return np.abs(values - 1.0) > drift_radius(closed_by)
+            return np.abs(values - 1.0) > found.radius
 
         proofs = {
             "segment_error": segment_error(turn, settled, cancelled),
             "convergence_error": convergence_error(turn, settled, cancelled),
             "liouville_error": liouville_error(turn, cancelled),
         }
-    words = _origin(initial, initial_closure if correct else None)
     if turn.switches:
         words += f"; {turn.switches} slack/taut switches in the turn"
-    if not periodic:
-        words += "; no motion that closes was found, the multipliers are those of the best turn"
-    elif (widest := np.max(judgement.tolerance)) > 1e-3:
-        words += (
-            f"; growth below {widest:.1e} a turn of multipliers near 1 is not told from"
-            " the drift of the spin"
-        )
+    if seen.never_taut:
+        words += f"; never taut: {', '.join(seen.never_taut)}"
+    if found.radius > SMALLEST_DRIFT:
+        words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
     return _result(
-        "monodromy", integrator, multiplier, family, judgement,
-        closure_residual=closed_by,
-        initial_closure_residual=initial_closure,
+        "monodromy", integrator, (found.multiplier, found.vectors), found.family, found.judgement,
+        closure_residual=left,
+        initial_closure_residual=missed_by if corrected else left,
+        spin_loss=loss,
         det_z_error=_det_z_error(turn),
-        flow_error=_flow_error(turn),
+        flow_error=found.flow_error,
         switches=turn.switches,
-        pushing_share=_pushing_share(integrator, turn.start),
+        pushing_share=seen.pushing_share,
         state=turn.start,
         message=words,
         **proofs,
@@ -212,26 +295,27 @@ def _leading(integrator, initial, count, correct, cancelled):
     multiplier, vectors, residual, turns = leading_multipliers.leading_multipliers(
         integrator, start, count, cancelled
     )
-    along = _flow_direction(integrator, start)
+    along = flow_direction(integrator, start)
     motion, carried = carry_displacements(
         integrator, integrator.begin(start), along[:, None], integrator.period_s, cancelled
     )
     end = integrator.scaled(motion.v, motion.r)
     closed_by = float(np.linalg.norm(end - to_scaled(integrator, start)))
-    missed = _flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
-    family = label(integrator.system, start, multiplier, vectors)
+    missed = flow_direction(integrator, from_scaled(integrator, end)) - carried[:, 0]
+    family = label(integrator, start, multiplier, vectors)
     found = residual <= leading_multipliers.CONVERGED * np.abs(multiplier)
-    periodic = closed_by <= CLOSED or not correct
-    judgement = judge(multiplier, family, closed_by, periodic, residual, found)
+    periodic = closed_by <= harmonic_balance.CLOSED or not correct
+    radius = drift_radius(closed_by)
+    judgement = judge(multiplier, family, radius, periodic, error=residual, found=found)
     words = _origin(initial, initial_closure if correct else None)
     words += f"; {np.count_nonzero(found)} of {count} leading multipliers found in {turns} turns"
     return _result(
-        "monodromy", integrator, multiplier, family, judgement, residual,
+        "monodromy", integrator, (multiplier, vectors), family, judgement, residual,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
         flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
         switches=motion.switches,
-        pushing_share=_pushing_share(integrator, start),
+        pushing_share=look(integrator, start).pushing_share,
         state=start,
         message=words,
     )
@@ -245,15 +329,15 @@ def _frozen(integrator, state, cancelled):
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
     matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
-    value, vectors = np.linalg.eig(matrix)  # Eq. (37)
+    value, vectors = multipliers(matrix, stays_in_plane(integrator, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
-    family = label(integrator.system, state, multiplier, vectors)
+    family = label(integrator, state, multiplier, vectors)
     return _result(
-        "frozen", integrator, multiplier, family, judge_frozen(multiplier, family),
+        "frozen", integrator, (multiplier, vectors), family, judge_frozen(multiplier, family),
         closure_residual=missed.residual,
         initial_closure_residual=missed.residual,
         switches=missed.switches,
-        pushing_share=_pushing_share(integrator, state),
+        pushing_share=look(integrator, state).pushing_share,
         state=state,
         message=f"{_origin(state)}; a turning configuration treated as if it stood"
         " still, its verdict says little about the motion",
@@ -273,18 +357,3 @@ def _det_z_error(turn):
     if np.max(np.abs(x[:, 2::3])) > 1e-12:
         return math.nan
     return float(abs(np.linalg.det(turn.matrix[2::3, 2::3]) - 1.0))
-
-
-def _flow_error(turn):
-    """Scaled error of M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28)."""
-    before, after = (_flow_direction(turn.integrator, s) for s in (turn.start, turn.end))
-    return float(np.max(np.abs(turn.matrix @ before - after)) / np.max(np.abs(before)))
-
-
-def _flow_direction(integrator, state):
-    arrays = integrator.arrays._replace(spin=0.0)
-    r, v = state.position_m, np.ascontiguousarray(state.velocity_m_s)
-    taut = forces.acting_tethers(integrator.system, r, v)
-    a = np.empty_like(r)
-    forces.acceleration(arrays, taut, 0.0, v, np.ascontiguousarray(r), a)
-    return to_scaled(integrator, State(v, a))

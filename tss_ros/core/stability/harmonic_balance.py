@@ -23,8 +23,11 @@ from tss_ros.core.model.system import State
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.fourier import differentiation, resampled
-from tss_ros.core.stability.shooting import CLOSED, closure
+from tss_ros.core.stability.shooting import closure
 
+#: Largest closure residual of a motion that still counts as periodic: without a drive it is what
+#: damping takes of the spin.
+CLOSED = 1e-3
 #: Harmonics of the spin, tried one after the other until the closure residual is below this.
 HARMONICS, ENOUGH = (8, 16, 32), 0.1 * CLOSED
 #: Most Newton iterations, the change in one at which it is given up, and that of the last one,

@@ -13,6 +13,8 @@ from tss_ros.core.stability.modes import FAMILIES
 SMALLEST_TOLERANCE = 1e-6
 #: Smallest distance from 1 within which a multiplier may be part of a split Jordan block.
 SMALLEST_DRIFT = 1e-3
+#: How far the drive moves multipliers of the formation as a whole, over |w| and the spin's loss.
+DRIVEN = 4.0
 #: Distances that count as none: in units of the error of simple multipliers, and of Jordan blocks.
 TRIVIAL_ERRORS, JORDAN_ERRORS = 10.0, 3.0
 #: Multipliers of the centre of mass, and the simple ones among them, exp(+-i Omega T) twice.
@@ -33,6 +35,8 @@ class Judgement:
         See `FloquetResult`.
     max_modulus, max_modulus_nontrivial : float
         Over the multipliers that were found.
+    deciding : int
+        Index of the multiplier that decided; -1 if none did.
     """
 
     verdict: str
@@ -41,21 +45,36 @@ class Judgement:
     jordan_error: float
     max_modulus: float
     max_modulus_nontrivial: float
+    deciding: int
 
 
-def drift_radius(closure_residual: float) -> float:
+def drift_radius(closure_residual: float, drift: float = 0.0, error: float = 0.0) -> float:
     """Distance from 1 within which multipliers may belong to a Jordan block that is split.
 
-    The drift of a damped motion splits it by about twice the root of the closure residual.
+    A motion that does not close, and the error of the matrix, split it by their roots; the drive of
+    one that does splits it in proportion.
+
+    Parameters
+    ----------
+    closure_residual : float
+        What is left of the equations that the motion was to solve.
+    drift : float
+        `DRIVEN` times |w| times the share of the spin that the motion loses in a turn.
+    error : float
+        Of the matrix, as far as it is known.
     """
-    return max(SMALLEST_DRIFT, 2.0 * math.sqrt(closure_residual))
+    splits = 2.0 * math.sqrt(closure_residual), 1.5 * drift, 3.0 * math.sqrt(error)
+    return max(SMALLEST_DRIFT, *splits)
 
 
 def judge(
     multiplier: np.ndarray,
     family: np.ndarray,
-    closure_residual: float,
+    radius: float,
     periodic: bool,
+    *,
+    drift: float = 0.0,
+    above: np.ndarray | None = None,
     error: float | np.ndarray = 0.0,
     found: np.ndarray | None = None,
 ) -> Judgement:
@@ -66,10 +85,15 @@ def judge(
     multiplier : ndarray, shape (k,), complex
     family : ndarray, shape (k,), str
         One of `FAMILIES` for each.
-    closure_residual : float
-        Of the motion, see `FloquetResult`.
+    radius : float
+        `drift_radius` of the motion.
     periodic : bool
         Whether the motion counts as closed.
+    drift : float
+        As for `drift_radius`.
+    above : ndarray, shape (k,), bool, optional
+        Which of them are displacements out of the plane of a planar motion: these know nothing of
+        a drive in the plane.
     error : float or ndarray, shape (k,)
         Known errors of the multipliers beside those that theory reveals.
     found : ndarray, shape (k,), bool, optional
@@ -80,54 +104,64 @@ def judge(
     Judgement
     """
     found = np.ones(multiplier.size, dtype=bool) if found is None else found
-    trivial, jordan = _rigid_errors(multiplier, family, closure_residual, found)
-    tolerance = np.maximum(SMALLEST_TOLERANCE, TRIVIAL_ERRORS * np.maximum(trivial, error))
-    tolerance = np.broadcast_to(tolerance, multiplier.shape).copy()
-    near = np.abs(multiplier - 1.0) <= drift_radius(closure_residual)
-    tolerance[near] = np.maximum(tolerance[near], JORDAN_ERRORS * jordan)
-    drifting = jordan > drift_radius(closure_residual)
-    return _verdict(multiplier, family, tolerance, periodic, drifting, found, (trivial, jordan))
+    above = np.zeros(multiplier.size, dtype=bool) if above is None else above
+    on_circle, from_one = np.abs(np.abs(multiplier) - 1.0), np.abs(multiplier - 1.0)
+    on_circle = np.where(above, on_circle, np.maximum(on_circle - drift, 0.0))
+    simple, blocks = _rigid(family, from_one, radius, found)
+    tolerance = np.full(multiplier.size, SMALLEST_TOLERANCE)
+    tolerance[~above] = max(SMALLEST_TOLERANCE, drift)
+    for part in (above, ~above):
+        trivial = np.max(on_circle[simple & part], initial=0.0)
+        tolerance[part] = np.maximum(tolerance, TRIVIAL_ERRORS * np.maximum(trivial, error))[part]
+    jordan = float(np.max(on_circle[blocks], initial=0.0))
+    # A double multiplier at 1 splits to both sides, so this is for those outside alone.
+    near = (from_one <= radius) & (np.abs(multiplier) > 1.0)
+    tolerance[near] = np.maximum(tolerance[near], min(JORDAN_ERRORS * jordan, radius))
+    drifting = found & (family == "spin") & (np.abs(multiplier) > 1.0 + radius)
+    errors = float(np.max(on_circle[simple], initial=0.0)), jordan
+    return _verdict(multiplier, family, tolerance, periodic, drifting, found, errors)
 
 
 def judge_frozen(multiplier: np.ndarray, family: np.ndarray) -> Judgement:
     """Judge the multipliers of a configuration that is taken to stand still, Eq. (47)."""
     tolerance = np.full(multiplier.size, SMALLEST_DRIFT)
     found = np.ones(multiplier.size, dtype=bool)
-    return _verdict(multiplier, family, tolerance, True, False, found, (math.nan, math.nan))
+    drifting = np.zeros_like(found)
+    return _verdict(multiplier, family, tolerance, True, drifting, found, (math.nan, math.nan))
 
 
-def _rigid_errors(multiplier, family, closure_residual, found):
-    """Distances from the unit circle of those that theory puts on it: simple ones, others."""
-    on_circle, from_one = np.abs(np.abs(multiplier) - 1.0), np.abs(multiplier - 1.0)
+def _rigid(family, from_one, radius, found):
+    """Which multipliers theory puts on the unit circle: simple ones, and those at 1 in blocks."""
     centre = np.flatnonzero(found & (family == FAMILIES[0]))
     centre = centre[np.argsort(-from_one[centre])]
-    if centre.size == CENTRE:
-        simple = SIMPLE
-    else:
-        simple = np.count_nonzero(from_one[centre] > drift_radius(closure_residual))
-    blocks = np.append(centre[simple:], np.flatnonzero(found & (family == "spin")))
-    return (
-        float(np.max(on_circle[part], initial=0.0)) for part in (centre[:simple], blocks)
-    )
+    far = np.count_nonzero(from_one[centre] > radius)
+    count = SIMPLE if centre.size == CENTRE else far
+    simple, blocks = np.zeros((2, family.size), dtype=bool)
+    simple[centre[:count]] = blocks[centre[count:]] = True
+    return simple, blocks | (found & (family == "spin"))
 
 
 def _verdict(multiplier, family, tolerance, periodic, drifting, found, errors):
     modulus, shape = np.abs(multiplier), family == "shape"
     nontrivial = found & (shape | (family == "axis tilt"))
+    growing = nontrivial & (modulus > 1.0 + tolerance)
     if not periodic:
-        verdict = "no periodic motion"
-    elif np.any(modulus[nontrivial] > 1.0 + tolerance[nontrivial]) or drifting:
-        verdict = "unstable"
+        verdict, among = "none found", np.zeros_like(shape)
+    elif growing.any():
+        verdict, among = "unstable", growing
+    elif drifting.any():
+        verdict, among = "unstable", drifting
     elif not found.all():
-        verdict = "undecided"
+        verdict, among = "undecided", nontrivial
     elif shape.any() and np.all(modulus[shape] < 1.0 - tolerance[shape]):
-        verdict = "asymptotically stable"
+        verdict, among = "asymptotically stable", shape
     else:
-        verdict = "neutral"
+        verdict, among = "neutral", shape if shape.any() else nontrivial
     return Judgement(
         verdict,
         tolerance,
         *errors,
         max_modulus=float(np.max(modulus[found], initial=0.0)),
         max_modulus_nontrivial=float(np.max(modulus[nontrivial], initial=0.0)),
+        deciding=int(np.argmax(np.where(among, modulus, -1.0))) if among.any() else -1,
     )

@@ -1,67 +1,164 @@
-"""Families of motion that Floquet multipliers belong to."""
+"""Families of motion that Floquet multipliers belong to, told by the structure of the motion.
 
-import math
+In a motion that stays in the orbit plane, displacements in the plane and out of it know nothing of
+each other: the matrix falls into two, each with multipliers and vectors of its own. What a rigid
+body does is known in each. A displacement of the whole formation stays one, exactly in linear
+gravity. A shift along the motion itself comes back after a turn, so that its multiplier is 1; with
+the spin rate it makes a Jordan block. Out of the plane a tilt moves beads in proportion to their
+place in the plane. What is left is shape.
+"""
+
+from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from tss_ros.core.model.system import State, System
+from tss_ros.core.model.system import State
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.stability.shooting import flow_direction
 
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
-#: Scale of ln|rho| within which a multiplier counts as near the unit circle. Overdamped tethers
-#: relax so slowly that their modes turn with the spin as they do.
-NEAR_CIRCLE = 0.01
-#: arm @ TURNS[k] is the velocity of a turn about axis k, the cross product of that axis and arm.
-TURNS = np.cross(np.eye(3)[:, None], np.eye(3)[None, :])
+#: How near to 1 the spin's multipliers are, in |ln rho|, and how near counts as no distance: those
+#: of overdamped tethers come close, and then turn with the spin as they relax.
+NEAR_ONE, AT_ONE = 0.01, 1e-4
+#: Multipliers that are lost in rounding, and so their vectors.
+LOST = 1e-10
+#: A formation this flat, over its radius, has no axis about which to tilt that way: the line of a
+#: chain is bent by this and less.
+FLAT = 0.05
+#: Relative distance from the circle, and from each other's mirror images there, by which
+#: multipliers that meet in a resonance are told.
+SAME = 1e-4
 
 
-def label(
-    system: System, state: State, multiplier: np.ndarray, vectors: np.ndarray
-) -> np.ndarray:
-    """Family of every multiplier, by the share of its eigenvector's motion that is rigid.
-
-    Centre of mass and spin are also known to lie near the unit circle, and a multiplier lost in
-    rounding, whose vector means nothing, can only belong to a damped shape.
+def multipliers(matrix: np.ndarray, planar: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues and eigenvectors of a monodromy matrix, Eqs. (25) and (27).
 
     Parameters
     ----------
-    system : System
+    matrix : ndarray, shape (6n, 6n)
+        In scaled coordinates, velocities first.
+    planar : bool
+        Whether the motion stays in the orbit plane: vectors are in it or out of it, then.
+
+    Returns
+    -------
+    multiplier : ndarray, shape (6n,), complex
+    vectors : ndarray, shape (6n, 6n), complex
+        Columns, of norm 1.
+    """
+    if not planar:
+        value, vectors = np.linalg.eig(matrix)
+        return value.astype(complex), vectors.astype(complex)
+    size = len(matrix)
+    value, vectors = np.empty(size, complex), np.zeros((size, size), complex)
+    above = np.arange(size) % 3 == 2
+    first = 0
+    for rows in (np.flatnonzero(~above), np.flatnonzero(above)):
+        part = slice(first, first + rows.size)
+        value[part], vectors[rows, part] = np.linalg.eig(matrix[np.ix_(rows, rows)])
+        first += rows.size
+    return value, vectors
+
+
+def stays_in_plane(integrator: Integrator, state: State) -> bool:
+    """Whether the motion from a state stays in the orbit plane."""
+    flat = not (state.position_m[:, 2].any() or state.velocity_m_s[:, 2].any())
+    return integrator.system.keeps_plane and flat
+
+
+def label(
+    integrator: Integrator,
+    state: State,
+    multiplier: np.ndarray,
+    vectors: np.ndarray,
+    exponent: np.ndarray | None = None,
+) -> np.ndarray:
+    """Family of every multiplier.
+
+    Parameters
+    ----------
+    integrator : Integrator
     state : State
         At which the vectors are taken.
     multiplier : ndarray, shape (k,), complex
+        All of them or some.
     vectors : ndarray, shape (6n, k), complex
         Eigenvectors, columns in scaled coordinates, velocities first.
+    exponent : ndarray, shape (k,), complex, optional
+        ln of the multipliers where it is known to whole cycles; else the nearest to zero.
 
     Returns
     -------
     ndarray, shape (k,), str
-        Values of `FAMILIES`. A planar formation has 6, 2, 4 and 6n - 12 of them.
+        Values of `FAMILIES`. A planar formation has 6, 2, 4 (a straight one 2) and the rest.
     """
-    n = system.n
-    weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
-    centre = np.average(state.position_m, axis=0, weights=system.mass_kg)
-    arm = (state.position_m - centre) / np.max(np.linalg.norm(state.position_m, axis=1))
-    turns = arm @ TURNS
-    fields = [np.tile(np.eye(3)[:, None], (n, 1)), turns[2:], turns[:2]]
-    found, share, room = np.empty((3 * n, 0)), [], []
+    n, planar = integrator.system.n, stays_in_plane(integrator, state)
+    weight = np.sqrt(integrator.system.mass_kg / np.mean(integrator.system.mass_kg))[:, None]
     halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
-    for family in fields:
-        basis = (weight * family).reshape(-1, 3 * n).T
-        basis -= found @ (found.T @ basis)
-        left, size, _ = np.linalg.svd(basis, full_matrices=False)
-        basis = left[:, size > 1e-6 * math.sqrt(n)]
-        found = np.concatenate([found, basis], axis=1)
-        share.append(np.sum(np.abs(basis.T @ halves) ** 2, axis=(0, 1)) / whole)
-        room.append(2 * basis.shape[1])
-    share.append(1.0 - np.sum(share, axis=0))
-    modulus = np.maximum(np.abs(multiplier), 1e-300)
-    near_circle = 1.0 / (1.0 + (np.log(modulus) / NEAR_CIRCLE) ** 2)
-    for rigid in range(3):
-        share[rigid] = share[rigid] * (near_circle if rigid < 2 else 1.0) * (modulus > 1e-10)
-    room.append(6 * n - sum(room))
-    slots = np.repeat(np.arange(4), room)
-    rows, columns = linear_sum_assignment(-np.array(share).T[:, slots])
-    names = np.empty(len(rows), dtype=object)
-    names[rows] = np.array(FAMILIES, dtype=object)[slots[columns]]
+    above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
+    moves = (weight[None] * np.eye(3)[:, None]).reshape(3, -1)
+    every, alive = multiplier.size == 6 * n, np.abs(multiplier) > LOST
+    names = np.full(multiplier.size, FAMILIES[3], dtype=object)
+
+    def take(family, score, room, sure, allowed):
+        """Name the best of the shapes that are allowed, the sure ones if not all are known."""
+        free = np.flatnonzero((names == FAMILIES[3]) & alive & allowed)
+        best = free[np.argsort(-score[free], kind="stable")][:room]
+        names[best if every else best[sure[best]]] = family
+
+    moved = _share(moves, halves) / whole
+    for allowed, room in ((~above, 4), (above, 2)) if planar else ((alive, 6),):
+        take(FAMILIES[0], moved, room, moved > 0.5, allowed)
+    if exponent is None:
+        exponent = np.log(np.where(alive, multiplier, 1.0))
+    along = _along(integrator, state, weight, halves) / whole
+    at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
+    take(FAMILIES[1], at_one, 2, (along > 0.5) & (np.abs(exponent) < NEAR_ONE), ~above)
+    tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
+    tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
+    take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
     return names
+
+
+def _share(basis, halves):
+    """Squared length of the part of every vector that lies in rows (b, 3n), positions and speeds.
+
+    Rows are made orthonormal.
+    """
+    basis = np.linalg.qr(basis.T)[0].T
+    return np.sum(np.abs(basis @ halves) ** 2, axis=(0, 1))
+
+
+def _along(integrator, state, weight, halves):
+    """The same for the part along the motion, the whole formation's displacement left out."""
+    flow = flow_direction(integrator, state).reshape(2, -1, 3)
+    flow = weight * (flow - np.mean(weight**2 * flow, axis=1, keepdims=True))
+    return np.abs(flow.ravel() @ halves.reshape(flow.size, -1)) ** 2 / np.sum(flow**2)
+
+
+def _tilts(mass, position, weight, planar):
+    """Weighted displacements (b, 3n) of turns about axes across the spin, of those there are."""
+    centre = np.average(position, axis=0, weights=mass)
+    arm = position - centre
+    fields = np.zeros((2, *arm.shape))
+    fields[0, :, 2], fields[1, :, 2] = arm[:, 1], arm[:, 0]
+    if not planar:
+        fields[0, :, 1], fields[1, :, 0] = -arm[:, 2], -arm[:, 2]
+    _, size, axes = np.linalg.svd((weight * fields).reshape(2, -1), full_matrices=False)
+    return axes[size > FLAT * size[0]]
+
+
+def _one_in_resonance(multiplier, score):
+    """The score of modes that meet in a resonance is one, a little more for those that grow.
+
+    Off the circle multipliers of a motion in the plane come by four, or two if real, made of two
+    modes in equal parts.
+    """
+    shared, modulus = score.copy(), np.abs(multiplier)
+    for i in np.flatnonzero((np.abs(modulus - 1.0) > SAME) & (modulus > LOST) & (score > 0.0)):
+        rho = multiplier[i]
+        partners = (rho, rho.conjugate(), 1.0 / rho, 1.0 / rho.conjugate())
+        apart = np.min([np.abs(multiplier / other - 1.0) for other in partners], axis=0)
+        shared[i] = np.mean(score[apart < SAME]) + SAME * (modulus[i] > 1.0)
+    return shared

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
-from tss_ros.core.errors import Cancelled, TssError
-from tss_ros.core.model.system import System
+from tss_ros.core.errors import Cancelled, NoSteadyState, TssError
+from tss_ros.core.model.system import State, System
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
@@ -31,11 +31,13 @@ class FloquetJob:
     system: System
     spin_rate_ratio: float
     method: str = "monodromy"
+    state: State | None = None
 
     def run(self, cancelled: Callable[[], bool] | None = None) -> FloquetResult:
         """`compute_floquet` of this job."""
         return compute_floquet(
-            self.system, self.spin_rate_ratio, self.method, certify=False, cancelled=cancelled
+            self.system, self.spin_rate_ratio, self.method, self.state, certify=False,
+            cancelled=cancelled,
         )
 
 
@@ -69,14 +71,18 @@ class ConfirmationJob:
     def run(
         self, cancelled: Callable[[], bool] | None = None
     ) -> tuple[FloquetResult, Confirmation | None]:
-        """`compute_floquet` and `confirm` of this job, the latter None if there is no motion."""
+        """`compute_floquet` and `confirm` of this job, the latter None if there is no start.
+
+        Where no motion was found the formation's initial state is disturbed.
+        """
         result = compute_floquet(self.system, self.spin_rate_ratio, cancelled=cancelled)
-        if not result.family:
+        try:
+            return result, confirm(
+                self.system, self.spin_rate_ratio, result.state if result.family else None,
+                self.disturbance_m, self.seed, self.turns, cancelled,
+            )
+        except NoSteadyState:
             return result, None
-        return result, confirm(
-            self.system, self.spin_rate_ratio, result.state, self.disturbance_m, self.seed,
-            self.turns, cancelled,
-        )
 
 
 def sweep(

@@ -61,6 +61,7 @@ def convergence_error(
         integrator.system, integrator.arrays.spin, max(0.01 * integrator.rtol, 1e-12),
         integrator.settings.length,
     )
+    finer.arrays = finer.arrays._replace(drive=integrator.arrays.drive)
     return _distance(turn, finer, settled, cancelled)
 
 

@@ -9,7 +9,7 @@ from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
 
 METHODS = ("monodromy", "frozen")
-VERDICTS = ("unstable", "neutral", "asymptotically stable", "no periodic motion", "undecided")
+VERDICTS = ("unstable", "neutral", "asymptotically stable", "none found", "undecided")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +35,12 @@ class FloquetResult:
         One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
         the centre of mass never decay, so Eq. (47) cannot hold for them. "undecided": none of the
         leading multipliers that were found lies outside, but some were not found.
+    deciding_modulus : float
+        Modulus of the multiplier that decided the verdict: the largest of those that leave the
+        circle if it is "unstable", else of the shape, or of what else may leave it. NaN where none
+        decided, as where no motion closes.
+    deciding_family : str
+        Family of that multiplier, "" for none.
     tolerance : float
         Distance from the unit circle that the verdict counts as lying on it. Near 1, within
         twice the root of the closure residual, where the drift of a damped motion splits Jordan
@@ -42,6 +48,10 @@ class FloquetResult:
     closure_residual : float
         |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
         speed.
+    spin_loss : float
+        Share of the spin that damping takes in a turn. The motion analysed closes because a drive
+        gives it back; the true one slows down by so much. 0 without correction, NaN where no
+        motion was found.
     initial_closure_residual : float
         The same for the start as given, before any correction; infinite if that turn cannot be
         integrated.
@@ -50,8 +60,8 @@ class FloquetResult:
         exp(+-i Omega T), which theory puts on it. NaN for "frozen".
     jordan_error : float
         The same for the multipliers at 1 that come in Jordan blocks; about the square root of the
-        matrix's error. A distance beyond 1e-3 and twice the root of the closure residual is no
-        such split, and the motion is called unstable. NaN for "frozen".
+        matrix's error. Growth beyond 1e-3 and twice the root of the closure residual is no such
+        split, and the motion is called unstable. NaN for "frozen".
     det_z_error : float
         |det Z - 1| of the out-of-plane block of a planar motion; NaN otherwise or for "frozen".
     flow_error : float
@@ -78,6 +88,10 @@ class FloquetResult:
         Remarks for the reader.
     residual : ndarray, shape (leading,)
         |M v - rho v| / |v| of leading multipliers; empty where the whole matrix was computed.
+    vectors : ndarray, shape (6n, k), complex
+        Eigenvectors of the multipliers, columns in the same order: velocities over the rim speed,
+        then positions over the radius of the start, in the turning frame. `compute_modes` says
+        what they are.
     """
 
     method: str
@@ -88,10 +102,13 @@ class FloquetResult:
     family: tuple[str, ...] = ()
     max_modulus: float = math.nan
     max_modulus_nontrivial: float = math.nan
-    verdict: str = "no periodic motion"
+    verdict: str = "none found"
+    deciding_modulus: float = math.nan
+    deciding_family: str = ""
     tolerance: float = math.nan
     closure_residual: float = math.nan
     initial_closure_residual: float = math.nan
+    spin_loss: float = math.nan
     trivial_error: float = math.nan
     jordan_error: float = math.nan
     det_z_error: float = math.nan
@@ -105,3 +122,28 @@ class FloquetResult:
     liouville_error: float = math.nan
     message: str = ""
     residual: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
+    vectors: np.ndarray = field(
+        default_factory=lambda: np.empty((0, 0), dtype=complex), repr=False
+    )
+
+    @property
+    def deciding(self) -> int:
+        """Index of the multiplier that decided the verdict, -1 for none."""
+        match = [
+            k for k, family in enumerate(self.family)
+            if family == self.deciding_family
+            and abs(self.multiplier[k]) == self.deciding_modulus
+        ]  # fmt: skip
+        return match[0] if match else -1
+
+    @property
+    def decided_by(self) -> str:
+        """What decided the verdict, in words: a family with its modulus, or the closure."""
+        return in_words(self.deciding_family, self.deciding_modulus, self.closure_residual)
+
+
+def in_words(family: str, modulus: float, closure_residual: float) -> str:
+    """What decided a verdict: family and modulus of a multiplier, else the closure residual."""
+    if family:
+        return f"{family} {modulus:.6f}"
+    return "" if math.isnan(closure_residual) else f"closure {closure_residual:.1e}"

@@ -1,0 +1,110 @@
+"""A system that differs from another in one parameter, named as in scenario files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.model.laws import LAW_PARAMETERS
+from tss_ros.core.model.system import System, finite
+
+_OF_BEADS = {"satellite_mass_kg": True, "bead_mass_kg": False}
+_OF_TETHERS = ("tether_length_m", "axial_stiffness_n", "damping_n_s_per_m")
+#: Parameters of systems along which families of motions are followed, beside the spin rate.
+PARAMETERS = (
+    *_OF_BEADS, *_OF_TETHERS, "orbit_altitude_m", *(law.name for law in LAW_PARAMETERS)
+)  # fmt: skip
+
+
+def parameter_of(system: System, name: str) -> float:
+    """Value of a parameter, that of the first satellite, bead or tether where each has its own.
+
+    Raises
+    ------
+    TssError
+        If there is no such parameter, or the system has no such part.
+    """
+    if name in _OF_BEADS:
+        return float(system.mass_kg[_beads(system, name)][0])
+    if name in _OF_TETHERS:
+        first = tether_of_segments(system) == 0
+        if name == "tether_length_m":
+            return float(np.sum(system.rest_length_m[first]))
+        if name == "axial_stiffness_n":
+            return float(system.axial_stiffness_n[first][0])
+        with np.errstate(divide="ignore"):
+            return float(1.0 / np.sum(1.0 / system.damping_n_s_per_m[first]))
+    if name == "orbit_altitude_m":
+        return system.orbit_altitude_m
+    if name in system.law_parameters:
+        return float(system.law_parameters[name])
+    raise TssError(
+        f"parameter must be one of {', '.join(PARAMETERS)}, got {name!r}"
+        f"{near_match(name, PARAMETERS)}"
+    )
+
+
+def with_parameter(system: System, name: str, value: float) -> System:
+    """The system with another value of a parameter.
+
+    Parts that have values of their own keep their proportions: the first one gets the value. The
+    damping of a tether cut into segments is that from end to end, its length the whole.
+
+    Parameters
+    ----------
+    system : System
+    name : str
+        One of `PARAMETERS`.
+    value : float
+
+    Returns
+    -------
+    System
+
+    Raises
+    ------
+    TssError
+        If there is no such parameter, or the value is not allowed.
+    """
+    before, value = parameter_of(system, name), finite(name, value)
+    if name == "orbit_altitude_m":
+        return replace(system, orbit_altitude_m=value)
+    if name in system.law_parameters:
+        return replace(system, law_parameters={**system.law_parameters, name: value})
+    if name in _OF_BEADS:
+        mass, chosen = np.array(system.mass_kg), _beads(system, name)
+        mass[chosen] *= value / before
+        return replace(system, mass_kg=mass)
+    if name == "tether_length_m":
+        share = finite(name, value, above=0.0) / before
+        return replace(
+            system, rest_length_m=system.rest_length_m * share, layout_m=system.layout_m * share
+        )
+    if name == "axial_stiffness_n":
+        return replace(system, axial_stiffness_n=system.axial_stiffness_n * (value / before))
+    if before > 0.0:
+        return replace(system, damping_n_s_per_m=system.damping_n_s_per_m * (value / before))
+    tether = tether_of_segments(system)
+    return replace(system, damping_n_s_per_m=value * np.bincount(tether)[tether].astype(float))
+
+
+def _beads(system, name):
+    chosen = system.is_satellite == _OF_BEADS[name]
+    if not chosen.any():
+        raise TssError(f"{name} has no effect: the system has no such bead")
+    return chosen
+
+
+def tether_of_segments(system: System) -> np.ndarray:
+    """The tether (m,) that each segment is part of, numbered by their first segments.
+
+    Segments that meet in a bead which is no satellite belong to one tether.
+    """
+    tether = np.arange(system.m)
+    for bead in np.flatnonzero(~system.is_satellite):
+        meeting = np.flatnonzero((system.tether_ends == bead).any(axis=1))
+        for other in meeting[1:]:
+            tether[tether == tether[other]] = tether[meeting[0]]
+    return np.unique(tether, return_inverse=True)[1]

@@ -1,0 +1,111 @@
+"""What a turn must be to count as a motion of the formation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tss_ros.core.model import forces
+from tss_ros.core.model.system import State, System
+from tss_ros.core.motion.propagator import Integrator
+
+#: Samples of a turn.
+SAMPLES = 360
+#: A tether shorter than this share of its rest length has collapsed.
+COLLAPSED = 0.5
+#: Beads nearer to the centre of mass than this share of the farthest may circle it as they like.
+NEAR_CENTRE = 0.1
+
+
+@dataclass(frozen=True)
+class Look:
+    """A turn, as its samples show it.
+
+    Attributes
+    ----------
+    pushing_share : float
+        Share of the time that taut tethers push.
+    never_taut : tuple of str
+        Tethers that are slack in every sample.
+    refusal : str
+        Why the turn does not count as a motion of the formation; "" if it does.
+    """
+
+    pushing_share: float
+    never_taut: tuple[str, ...]
+    refusal: str
+
+
+def look(integrator: Integrator, start: State) -> Look:
+    """Look at the turn from a start.
+
+    It must turn once in the sense of the spin, keep its tethers near their lengths, and hold every
+    bead by tethers that are taut at some time.
+
+    Parameters
+    ----------
+    integrator : Integrator
+    start : State
+
+    Returns
+    -------
+    Look
+
+    Raises
+    ------
+    IntegrationError
+        If the motion cannot be continued.
+    """
+    system = integrator.system
+    times = integrator.period_s / SAMPLES * np.arange(SAMPLES + 1)
+    samples, motion = integrator.samples(times), integrator.begin(start)
+    integrator.advance(motion, integrator.period_s * (1.0 + 1e-9), samples=samples)
+    length, tension, taut = forces.tether_state(system, samples.r, samples.v)
+    held = taut.any(axis=0)
+    never_taut = tuple(name for name, ever in zip(system.tether_name, held) if not ever)
+    refusal = (
+        _turned(system, samples.r, integrator.arrays.spin)
+        or _collapsed(system, length)
+        or _loose(system, held)
+    )
+    return Look(forces.pushing_share(tension[:-1], taut[:-1]), never_taut, refusal)
+
+
+def _turned(system: System, r: np.ndarray, spin: float) -> str:
+    """Why positions (k, n, 3) do not turn once in the sense of the spin."""
+    arm = r - np.average(r, axis=1, weights=system.mass_kg)[:, None]
+    distance = np.mean(np.hypot(arm[:, :, 0], arm[:, :, 1]), axis=0)
+    angle = np.unwrap(np.arctan2(arm[:, :, 1], arm[:, :, 0]), axis=0)
+    turns = (angle[-1] - angle[0]) / (2.0 * np.pi) * np.sign(spin)
+    for i in np.flatnonzero(distance > NEAR_CENTRE * np.max(distance)):
+        if round(turns[i]) != 1:
+            return (
+                f"it turns {system.bead_name[i]} {turns[i]:.2f} times about the centre of mass in"
+                " the sense of the spin, not once"
+            )
+    return ""
+
+
+def _collapsed(system: System, length: np.ndarray) -> str:
+    """Why lengths (k, m) are not those of the formation."""
+    share = np.min(length / system.rest_length_m, axis=0)
+    worst = int(np.argmin(share))
+    if share[worst] >= COLLAPSED:
+        return ""
+    return (
+        f"its tether {system.tether_name[worst]} shrinks to {share[worst]:.3g} of its rest length"
+    )
+
+
+def _loose(system: System, held: np.ndarray) -> str:
+    """Why tethers that are ever taut (m,) do not hold the formation together."""
+    part = np.arange(system.n)
+    for first, second in system.tether_ends[held]:
+        part[part == part[second]] = part[first]
+    values, counts = np.unique(part, return_counts=True)
+    if values.size == 1:
+        return ""
+    loose = np.flatnonzero(part != values[np.argmax(counts)])
+    names = ", ".join(system.bead_name[i] for i in loose[:3]) + (" ..." if loose.size > 3 else "")
+    return f"no tether that is ever taut holds {names}"

@@ -1,0 +1,307 @@
+"""Families of periodic motions followed in the spin rate or a parameter, with their special points.
+
+Between two points of a family something may have happened: it turned round in a fold, multipliers
+left the unit circle or came back, tethers began to go slack. Each such point is located between
+them by bisection along the curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tss_ros.core.errors import Cancelled, IntegrationError, TssError
+from tss_ros.core.model.parameters import PARAMETERS, with_parameter
+from tss_ros.core.model.symmetry import cyclic_symmetry
+from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.stability import continuation, families
+from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
+from tss_ros.core.stability.continuation import Curve, Ended, Point
+from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
+from tss_ros.core.stability.spectrum import Spectrum, spectrum
+
+SPIN_RATE_RATIO = "spin_rate_ratio"
+#: Largest step, and distance to which special points are located, over the parameter.
+LONGEST_STEP, TOLERANCE = 0.04, 1e-7
+#: Imaginary part, over the modulus, of multipliers that count as real.
+REAL = 1e-6
+
+
+def follow(
+    system: System,
+    parameter: str,
+    start: float,
+    stop: float,
+    *,
+    spin_rate_ratio: float | None = None,
+    state: State | None = None,
+    longest_step: float = LONGEST_STEP,
+    most_points: int = 2000,
+    progress: Callable[[float, FamilyPoint], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> Family:
+    """Follow a family of periodic motions from one value of a parameter to another.
+
+    Parameters
+    ----------
+    system : System
+    parameter : str
+        "spin_rate_ratio" or one of `PARAMETERS`, see `with_parameter`.
+    start, stop : float
+        Values of it. Where the family turns round in a fold it is followed on, until it passes
+        `stop` or comes back past `start`.
+    spin_rate_ratio : float, optional
+        w = omega / Omega for other parameters.
+    state : State, optional
+        Next to the motion to begin with; that of the formation's own family if not given.
+    longest_step : float
+        Of the parameter, over its value (over the width of the interval if that holds 0).
+    most_points : int
+    progress : callable, optional
+        Called with the share of the interval that is done and the latest point.
+    cancelled : callable, optional
+        Asked now and then; a true answer ends the family there, and what was found is kept.
+
+    Returns
+    -------
+    Family
+
+    Raises
+    ------
+    TssError
+        For values that are not allowed, or if no motion closes at the start.
+    """
+    at = _systems(system, parameter, spin_rate_ratio)
+    start, stop = (finite(f"{parameter} to {word}", value)
+                   for word, value in (("start from", start), ("stop at", stop)))  # fmt: skip
+    finite("longest_step", longest_step, above=0.0)
+    if start == stop:
+        raise TssError(f"the interval of {parameter} must not be empty, got {start:g} to {stop:g}")
+    if parameter == SPIN_RATE_RATIO and start * stop <= 0.0:
+        raise TssError(f"spin_rate_ratio must keep its sign, got {start:g} to {stop:g}")
+    for value in (start, stop):
+        at(value)
+    run = _Run(at, parameter, start, stop, state, longest_step, cancelled)
+    return run.follow(most_points, progress)
+
+
+def _systems(system, parameter, spin_rate_ratio):
+    """The function that makes system and spin rate [rad/s] of a value of the parameter."""
+    if parameter == SPIN_RATE_RATIO:
+        if spin_rate_ratio is not None:
+            raise TssError(f"spin_rate_ratio is followed, so it has no fixed value;"
+                           f" got {spin_rate_ratio:g}")  # fmt: skip
+        return lambda value: (system, system.spin_rate_rad_s(value))
+    if parameter not in PARAMETERS:
+        raise TssError(
+            f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
+            f" got {parameter!r}"
+        )
+    if spin_rate_ratio is None:
+        raise TssError(f"spin_rate_ratio must be given to follow {parameter}")
+
+    def at(value):
+        varied = with_parameter(system, parameter, value)
+        return varied, varied.spin_rate_rad_s(spin_rate_ratio)
+
+    return at
+
+
+class _Run:
+    """One family under way."""
+
+    def __init__(self, at, parameter, start, stop, state, longest_step, cancelled):
+        self.at, self.parameter, self.start, self.stop = at, parameter, start, stop
+        self.sense = math.copysign(1.0, stop - start)
+        system, spin = at(start)
+        ratio = spin / system.orbit_rate_rad_s
+        motion = self._first(system, ratio, state, cancelled)
+        scale = None if start * stop > 0.0 else abs(stop - start)
+        self.equations = ClosingEquations(
+            at, families.size_of(system), families.planar(system, motion.state),
+            self._symmetry(system, motion, ratio, cancelled), families.RTOL, cancelled, scale,
+        )  # fmt: skip
+        y = self.equations.vector(motion.state, start, motion.spin_loss)
+        first = continuation.begin(self.equations, y, self.sense, True)
+        self.curve = Curve(self.equations, first, True, longest_step)
+        self.points, self.special = [], []
+
+    @staticmethod
+    def _first(system, ratio, state, cancelled):
+        if state is None:
+            try:
+                return families.own_motion(system, ratio, cancelled)
+            except Ended as end:
+                raise TssError(
+                    f"no motion to follow was found at spin_rate_ratio {ratio:g}: {end}"
+                ) from None
+        try:
+            motion = families.nearest_motion(system, ratio, state, cancelled)
+        except IntegrationError as error:
+            raise TssError(f"no motion to follow was found from the given state: {error}") from None
+        if not motion.residual <= CLOSED:
+            raise TssError(
+                "no motion to follow was found from the given state: the best turn closes to"
+                f" {motion.residual:.1e}, {CLOSED:g} is enough"
+            )
+        return motion
+
+    @staticmethod
+    def _symmetry(system, motion, ratio, cancelled):
+        """The formation's symmetry if the motion has it, else none."""
+        symmetry = cyclic_symmetry(system)
+        equations = families.rate_equations(system, motion.state, symmetry, cancelled)
+        y = equations.vector(motion.state, ratio, motion.spin_loss)
+        left = np.linalg.norm(equations.shoot(y)[0])
+        return symmetry if left <= 10.0 * CLOSED else families.no_symmetry(system)
+
+    def follow(self, most_points, progress):
+        """The family, as far as it goes."""
+        ended, before = "", self._seen(self.curve.point)
+        self._keep(before)
+        try:
+            while len(self.points) < most_points:
+                after = self._seen(self.curve.advance())
+                self._locate(before, after)
+                if after.point.solution.y[-3] > families.MOST_LOSS:
+                    ended = (
+                        f"damping takes more than {families.MOST_LOSS:.0%} of the spin in a turn"
+                        f" beyond {before.point.parameter:.6g}"
+                    )
+                    break
+                value = after.point.parameter
+                if (value - self.stop) * self.sense >= 0.0:
+                    self._keep(self._last(after))
+                    break
+                self._keep(after)
+                if progress is not None:
+                    share = (value - self.start) / (self.stop - self.start)
+                    progress(float(np.clip(share, 0.0, 1.0)), self.points[-1])
+                if (value - self.start) * self.sense < 0.0:
+                    ended = f"the family came back past {self.start:g}"
+                    break
+                before = after
+            else:
+                ended = f"{most_points} points were found, the last at {before.point.parameter:.6g}"
+        except Ended as end:
+            ended = str(end)
+        except Cancelled:
+            ended = f"canceled at {before.point.parameter:.6g}"
+        return Family(self.parameter, tuple(self.points), tuple(self.special), ended)
+
+    def _seen(self, point):
+        """A point with its spectrum."""
+        y, equations = point.solution.y, self.equations
+        integrator, state = equations.integrator(y), equations.state(y)
+        matrix = np.linalg.matrix_power(point.linear.matrix, equations.symmetry.order)
+        return _Seen(
+            point, spectrum(integrator, state, None, matrix, point.solution.residual, float(y[-3]))
+        )
+
+    def _last(self, beyond):
+        """The motion at the end that was asked for, next to one beyond it."""
+        y = np.array(beyond.point.solution.y)
+        y[-1] = self.stop
+        solution = solve(self.equations, y, beyond.point.linear)
+        if not solution.residual <= CLOSED:
+            return beyond
+        linear = self.equations.linearise(solution.y, True)
+        return self._seen(Point(solution, linear, beyond.point.tangent))
+
+    def _keep(self, seen):
+        y, judgement = seen.point.solution.y, seen.spectrum.judgement
+        multiplier, decided = seen.spectrum.multiplier, judgement.deciding
+        order = np.argsort(-np.abs(multiplier), kind="stable")
+        system, spin = self.at(float(y[-1]))
+        self.points.append(
+            FamilyPoint(
+                float(y[-1]),
+                spin / system.orbit_rate_rad_s,
+                judgement.verdict,
+                float(abs(multiplier[decided])) if decided >= 0 else math.nan,
+                str(seen.spectrum.family[decided]) if decided >= 0 else "",
+                judgement.max_modulus_nontrivial,
+                int(np.count_nonzero(seen.outside)),
+                seen.slack,
+                float(y[-3]),
+                seen.point.solution.residual,
+                multiplier[order],
+                self.equations.state(y),
+            )
+        )
+
+    def _locate(self, a, b):
+        """Find what happens between two points of the curve."""
+        found = []
+        if a.point.tangent[-1] * b.point.tangent[-1] < 0.0:
+            sign = a.point.tangent[-1]
+            found.append(self._bracket("fold", a, b, lambda p: p.tangent[-1] * sign > 0.0))
+        if a.slack != b.slack:
+            found.append(
+                self._bracket("first slack", a, b, lambda p: (p.linear.switches > 0) == a.slack)
+            )
+        count = np.count_nonzero(a.outside)
+        if count != np.count_nonzero(b.outside):
+            found.append(
+                self._bracket(
+                    "", a, b, lambda p: np.count_nonzero(self._seen(p).outside) == count
+                )
+            )
+        folds = [point.parameter for point in found if point.kind == "fold"]
+        for point in found:
+            # At a fold a multiplier passes 1; that is the fold, nothing beside it.
+            near = 1e-4 * self.equations.unit(a.point.solution.y)
+            at_one = point.kind in ("branch point", "spin divergence")
+            if not at_one or all(abs(point.parameter - fold) > near for fold in folds):
+                self.special.append(point)
+
+    def _bracket(self, kind, a, b, holds):
+        last, first = continuation.bisected(self.curve, a.point, b.point, holds, TOLERANCE)
+        multiplier, family = complex(math.nan, math.nan), ""
+        if not kind:
+            inner, outer = sorted(
+                (self._seen(last), self._seen(first)), key=lambda s: np.count_nonzero(s.outside)
+            )
+            kind, multiplier, family = _leaving(outer.spectrum, outer.outside)
+        y = last.solution.y
+        middle = 0.5 * (last.parameter + first.parameter)
+        system, spin = self.at(middle)
+        return SpecialPoint(
+            kind, middle, 0.5 * abs(last.parameter - first.parameter),
+            spin / system.orbit_rate_rad_s, multiplier, family, len(self.points) - 1,
+            self.equations.state(y),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A point of the curve and its multipliers."""
+
+    point: Point
+    spectrum: Spectrum
+
+    @property
+    def slack(self):
+        return self.point.linear.switches > 0
+
+    @property
+    def outside(self):
+        """Which multipliers lie outside the unit circle, (6n,) bool."""
+        return self.spectrum.outside
+
+
+def _leaving(found, outside):
+    """Kind of the special point at which multipliers have just left the circle."""
+    candidates = np.flatnonzero(outside)
+    which = candidates[np.argmin(np.abs(found.multiplier[candidates]))]
+    rho = complex(found.multiplier[which])
+    if found.family[which] == "spin":
+        kind = "spin divergence"
+    elif abs(rho.imag) > REAL * abs(rho):
+        kind = "torus"
+    else:
+        kind = "branch point" if rho.real > 0.0 else "period doubling"
+    return kind, rho, str(found.family[which])

@@ -1,0 +1,267 @@
+"""What the modes behind Floquet multipliers are: direction, frequency, wave number and shape."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.system import System
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.stability.mean_model import mean_modes
+from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
+from tss_ros.core.stability.result import FloquetResult
+
+DIRECTIONS = ("in plane", "out of plane", "mixed")
+#: Accuracy of the motion that modes are told by.
+RTOL = 1e-9
+#: Times of a turn at which a mode's phase is looked at; the least modulus of a multiplier whose
+#: mode is counted, and the least share of its largest part that the mode keeps.
+COUNTS, COUNTABLE, CLEAR = 32, 1e-3, 0.05
+
+
+@dataclass(frozen=True)
+class Mode:
+    """The mode behind one multiplier.
+
+    Attributes
+    ----------
+    multiplier : complex
+    family : str
+        One of `FAMILIES`.
+    direction : str
+        One of `DIRECTIONS`: where beads move to, seen from the orbit plane.
+    frequency : float
+        [cycles a turn] in the frame that turns with the formation. The multiplier tells it up to
+        whole cycles and the mode of the mean forces how many. NaN if the multiplier is lost in
+        rounding. Of the centre of mass it is that in the orbit frame.
+    wave_number : int
+        Waves around the formation, from 0 to half the order of its cyclic symmetry; -1 if that
+        order is below 3.
+    shape : ndarray, shape (n, 3), complex
+        Displacements at the start of the turn, the largest of size 1. They oscillate as the real
+        part of `shape` times exp(2 pi i frequency t / T), and grow by the modulus of the
+        multiplier a turn.
+    """
+
+    multiplier: complex
+    family: str
+    direction: str
+    frequency: float
+    wave_number: int
+    shape: np.ndarray
+
+    @property
+    def in_words(self) -> str:
+        """E.g. "axis tilt (k = 1, 0.775 a turn)"."""
+        where = f"{self.direction.replace(' ', '-')} " if self.family == FAMILIES[3] else ""
+        known = [f"k = {self.wave_number}"] if self.wave_number >= 0 else []
+        if not math.isnan(self.frequency):
+            known.append(f"{self.frequency:.3f} a turn")
+        return f"{where}{self.family}" + (f" ({', '.join(known)})" if known else "")
+
+
+def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
+    """The modes behind the multipliers of a result, in their order.
+
+    Multipliers are paired, family by family, with the modes of the forces averaged over the turn:
+    with those whose shape and phase after a turn are nearest. How often a mode oscillates in a turn
+    is counted along it, as its part in that of the mean forces goes round.
+
+    Parameters
+    ----------
+    system : System
+        That the result is of.
+    result : FloquetResult
+
+    Returns
+    -------
+    list of Mode
+        Empty if it has no multipliers.
+
+    Raises
+    ------
+    TssError
+        If the result is of another system, or not of the motion.
+    IntegrationError
+        If its motion cannot be continued.
+    """
+    if not result.family:
+        return []
+    integrator = _integrator(system, result)
+    mean = mean_modes(integrator, result.state)
+    rho, vectors = result.multiplier, result.vectors
+    paired = _pairs(integrator, result, mean)
+    family = np.array(result.family)
+    frequency = _frequencies(integrator, result, mean, paired)
+    position = vectors.reshape(2, system.n, 3, -1)[1]
+    above = _above(vectors)
+    kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
+    if not stays_in_plane(integrator, result.state):
+        kinds[(above > 0.01) & (above < 0.99)] = DIRECTIONS[2]
+    return [
+        Mode(
+            complex(rho[k]),
+            str(family[k]),
+            str(kinds[k]),
+            float(frequency[k]),
+            int(mean.wave_number[paired[k]]),
+            position[:, :, k] * _to_size_one(position[:, :, k]),
+        )
+        for k in range(rho.size)
+    ]
+
+
+def _integrator(system, result):
+    if result.method != "monodromy":
+        raise TssError(f"modes are those of the motion, but the result's method is {result.method}")
+    if result.vectors.shape[0] != 6 * system.n:
+        raise TssError(
+            f"the result has vectors of {result.vectors.shape[0] // 6} beads, the system has"
+            f" {system.n}"
+        )
+    size = np.max(np.linalg.norm(result.state.position_m, axis=1))
+    return Integrator(system, result.spin_rate_rad_s, RTOL, size).driven(result.spin_loss)
+
+
+def _above(vectors):
+    """Share of every vector's motion that is out of the orbit plane."""
+    square = np.abs(vectors.reshape(-1, 3, vectors.shape[1])) ** 2
+    return np.sum(square[:, 2], axis=0) / np.sum(square, axis=(0, 1))
+
+
+@dataclass(frozen=True)
+class ModeMotion:
+    """A mode along one turn, in the frame that turns with the formation.
+
+    Attributes
+    ----------
+    turns : ndarray, shape (k,)
+        Times from 0 to 1, over the period.
+    position_m : ndarray, shape (k, n, 3)
+        Undisturbed positions [m].
+    shape : ndarray, shape (k, n, 3), complex
+        Displacements, the largest at the start of size 1. A turn later they are the same times the
+        multiplier.
+    """
+
+    turns: np.ndarray
+    position_m: np.ndarray
+    shape: np.ndarray
+
+
+def mode_motion(system: System, result: FloquetResult, which: int, samples: int = 48) -> ModeMotion:
+    """How the mode behind one multiplier moves along the turn.
+
+    Parameters
+    ----------
+    system : System
+        That the result is of.
+    result : FloquetResult
+    which : int
+        Index of the multiplier, e.g. `FloquetResult.deciding`.
+    samples : int
+        In the turn; its end is added.
+
+    Returns
+    -------
+    ModeMotion
+
+    Raises
+    ------
+    TssError
+        If there is no such multiplier, or the result is of another system.
+    IntegrationError
+        If its motion cannot be continued.
+    """
+    if not 0 <= which < len(result.family):
+        raise TssError(f"the result has {len(result.family)} multipliers, none of index {which}")
+    integrator = _integrator(system, result)
+    vector = result.vectors[:, which : which + 1]
+    place, carried = _carried(integrator, result.state, vector, samples)
+    shape = carried.reshape(samples + 1, 2, system.n, 3)[:, 1]
+    return ModeMotion(np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]))
+
+
+def _carried(integrator, state, vectors, samples):
+    """Positions (s + 1, n, 3) and vectors (s + 1, 6n, k) carried along the turn from a state."""
+    motion = integrator.begin(state)
+    place, carried = [np.array(motion.r)], [vectors]
+    parts = np.concatenate([vectors.real, vectors.imag], axis=1)
+    for k in range(1, samples + 1):
+        stop = integrator.period_s * k / samples
+        motion, parts = carry_displacements(integrator, motion, parts, stop)
+        real, imaginary = np.split(parts, 2, axis=1)
+        place.append(np.array(motion.r))
+        carried.append(real + 1j * imaginary)
+    return np.array(place), np.array(carried)
+
+
+def _frequencies(integrator, result, mean, paired):
+    """Cycles a turn (k,) of the multipliers' modes, alike for complex conjugates."""
+    rho, family = result.multiplier, np.array(result.family)
+    about = _counted(integrator, result, mean, paired)
+    about[family == FAMILIES[1]] = 0.0
+    centre = family == FAMILIES[0]
+    about[centre] = (np.abs(rho[centre] - 1.0) > NEAR_ONE) / abs(result.spin_rate_ratio)
+    cycles = np.angle(rho) / (2.0 * math.pi)
+    either = [cycles + np.round(sign * about - cycles) for sign in (1.0, -1.0)]
+    nearer = np.argmin([np.abs(np.abs(f) - np.abs(about)) for f in either], axis=0)
+    frequency = np.abs(np.choose(nearer, either))
+    frequency[np.abs(rho) <= LOST] = math.nan
+    for k in np.flatnonzero(rho.imag < 0.0):
+        alike = np.flatnonzero((family == family[k]) & (rho.imag > 0.0))
+        if alike.size:
+            frequency[k] = frequency[alike[np.argmin(np.abs(rho[alike].conj() - rho[k]))]]
+    return frequency
+
+
+def _counted(integrator, result, mean, paired):
+    """Signed frequencies (k,) by counting; those of the mean forces where counts mean nothing."""
+    frequency = mean.frequency[paired]
+    rho = result.multiplier
+    counted = np.isin(result.family, FAMILIES[2:]) & (np.abs(rho) > COUNTABLE)
+    counted &= (rho.imag >= 0.0) & (np.abs(frequency) < COUNTS / 4)
+    if not counted.any():
+        return frequency
+    _, carried = _carried(integrator, result.state, result.vectors[:, counted], COUNTS)
+    weight = np.tile(np.repeat(integrator.system.mass_kg, 3), 2)[:, None]
+    part = np.sum((weight * mean.vectors[:, paired[counted]]).conj() * carried, axis=1)
+    part *= np.abs(rho[counted]) ** -(np.arange(COUNTS + 1)[:, None] / COUNTS)
+    angle = np.unwrap(np.angle(part), axis=0)
+    clear = np.min(np.abs(part), axis=0) > CLEAR * np.max(np.abs(part), axis=0)
+    cycles = (angle[-1] - angle[0]) / (2.0 * math.pi)
+    frequency[counted] = np.where(clear, cycles, frequency[counted])
+    return frequency
+
+
+def _pairs(integrator, result, mean):
+    """The mode of the mean forces (k,) that each multiplier belongs to."""
+    weight = np.tile(np.repeat(np.sqrt(integrator.system.mass_kg), 3), 2)[:, None]
+
+    def units(vectors):
+        weighted = vectors * weight
+        return weighted / np.linalg.norm(weighted, axis=0)
+
+    alike = np.abs(units(mean.vectors).conj().T @ units(result.vectors)) ** 2
+    rho = np.where(np.abs(result.multiplier) > LOST, result.multiplier, LOST)
+    phase = np.angle(np.exp(1j * (mean.exponent.imag[:, None] - np.angle(rho)))) / math.pi
+    size = np.abs(np.maximum(mean.exponent.real[:, None], math.log(LOST)) - np.log(np.abs(rho)))
+    cost = (1.0 - alike) + np.abs(phase) + np.minimum(size, 1.0)
+    family, above, also = np.array(result.family), _above(result.vectors), _above(mean.vectors)
+    # Another family or direction is taken only where its own has none left.
+    cost += 10.0 * (mean.family[:, None] != family)
+    cost += 10.0 * np.abs(also[:, None] - above)
+    rows, columns = linear_sum_assignment(cost)
+    return rows[np.argsort(columns)]
+
+
+def _to_size_one(shape):
+    """The factor that makes a shape's largest displacement real and of size 1."""
+    largest = np.unravel_index(np.argmax(np.abs(shape)), shape.shape)
+    size = max(np.max(np.linalg.norm(shape, axis=1)), 1e-300)
+    return np.exp(-1j * np.angle(shape[largest])) / size

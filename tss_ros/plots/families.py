@@ -1,0 +1,137 @@
+"""Bifurcation diagrams of families of motions."""
+
+import itertools
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tss_ros.core import SPECIAL_KINDS, Family
+from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, finish, state_law
+
+#: How stable, and how taut, a part of a family is, by look; `None` is any other verdict.
+LINES = {
+    "asymptotically stable": "-",
+    "neutral": (0, (6, 1.5, 1, 1.5)),
+    "unstable": (0, (3, 1.6)),
+    None: (0, (1, 1.5)),
+}
+TAUT, SLACK = COLOURS[0], COLOURS[1]
+#: Moduli of interest: smaller ones are far inside the circle, larger ones far outside.
+SMALLEST, LARGEST = 0.3, 30.0
+
+
+def family(followed: Family, label: str = "", law: str = "") -> Figure:
+    """Bifurcation diagram: size of the motion and moduli of its multipliers along a family.
+
+    Parameters
+    ----------
+    followed : Family
+    label : str
+        Of the abscissa; the parameter's name if empty.
+    law : str
+        Tether law, stated above; "" for nothing.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two axes with the parameter as abscissa. Solid is stable, dashed unstable; where tethers go
+        slack the line has another colour. Special points have markers by kind.
+    """
+    figure = Figure(figsize=(8.0, 7.0), dpi=DPI, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.3))
+    vertices = _vertices(followed)
+    value = np.array([vertex.parameter for vertex, _ in vertices])
+    size = np.array([_size(vertex.state) for vertex, _ in vertices])
+    looks = _looks(followed, vertices)
+    _draw(above, value, size, looks)
+    finish(above, "", "largest distance of a bead from\nthe center at the turn's start [m]")
+    _moduli(below, followed)
+    decided = np.array([getattr(vertex, "deciding_modulus", 1.0) for vertex, _ in vertices])
+    _draw(below, value, decided, looks)
+    finish(below, label or followed.parameter, "modulus of the multipliers |ρ| [-]")
+    for i, kind in enumerate(SPECIAL_KINDS):
+        here = [k for k, (v, special) in enumerate(vertices) if special and v.kind == kind]
+        for axes, ordinate in ((above, size), (below, np.ones(len(vertices)))):
+            axes.plot(
+                value[here], ordinate[here], linestyle="", marker=MARKERS[i], markersize=7,
+                markerfacecolor="white", markeredgecolor=INK, markeredgewidth=1.4, zorder=4,
+            )  # fmt: skip
+    state_law(figure, law)
+    figure.legend(
+        handles=_handles(followed, looks), loc="outside lower center", ncols=4, frameon=False
+    )
+    return figure
+
+
+def _vertices(followed):
+    """Points and special points in the order of the curve, and whether each is a special one."""
+    vertices = []
+    for i, point in enumerate(followed.points):
+        vertices.append((point, False))
+        between = [special for special in followed.special if special.after == i]
+        between.sort(key=lambda special: abs(special.parameter - point.parameter))
+        vertices += [(special, True) for special in between]
+    return vertices
+
+
+def _looks(followed, vertices):
+    """Verdict and slackness of the part between each two neighbours of `vertices`."""
+    looks, number = [], -1
+    for (_, special), (_, then_special) in itertools.pairwise(vertices):
+        number += not special
+        of = followed.points[number]
+        if special and not then_special:  # the last part before a point is like that point
+            of = followed.points[number + 1]
+        looks.append((of.verdict if of.verdict in LINES else None, of.slack))
+    return looks
+
+
+def _draw(axes, x, y, looks):
+    """A curve whose parts have looks, equal neighbours in one stroke."""
+    first = 0
+    for look, parts in itertools.groupby(looks):
+        last = first + len(list(parts))
+        verdict, slack = look
+        axes.plot(
+            x[first : last + 1], y[first : last + 1], linestyle=LINES[verdict],
+            color=SLACK if slack else TAUT, linewidth=1.8, zorder=3,
+        )  # fmt: skip
+        first = last
+
+
+def _moduli(axes, followed):
+    """All multipliers, thin, and the unit circle."""
+    axes.axhline(1.0, color=INK, linewidth=0.9, zorder=2)
+    moduli = np.abs([point.multiplier for point in followed.points])
+    value = [point.parameter for point in followed.points]
+    axes.plot(value, moduli, color="0.7", linewidth=0.7, zorder=1)
+    lowest, highest = float(np.nanmin(moduli)), float(np.nanmax(moduli))
+    if highest > 2.0:
+        axes.set_yscale("log")
+    axes.set_ylim(max(0.97 * lowest, SMALLEST), min(max(1.03 * highest, 1.05), LARGEST))
+
+
+def _handles(followed, looks):
+    """Entries of the legend: only what is drawn."""
+    handles = [
+        Line2D([], [], color=TAUT, linestyle=style, label=verdict or "other verdict")
+        for verdict, style in LINES.items()
+        if any(shown == verdict for shown, _ in looks)
+    ]
+    if any(slack for _, slack in looks):
+        handles.append(Line2D([], [], color=SLACK, label="tethers go slack"))
+    for i, kind in enumerate(SPECIAL_KINDS):
+        if any(special.kind == kind for special in followed.special):
+            handles.append(
+                Line2D(
+                    [], [], linestyle="", marker=MARKERS[i], markerfacecolor="white",
+                    markeredgecolor=INK, label=kind,
+                )
+            )  # fmt: skip
+    handles.append(Line2D([], [], color="0.7", linewidth=0.7, label="all multipliers"))
+    return handles
+
+
+def _size(state):
+    return float(np.max(np.linalg.norm(state.position_m, axis=1)))

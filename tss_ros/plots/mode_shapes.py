@@ -1,0 +1,285 @@
+"""Pictures and animations of the mode behind a Floquet multiplier.
+
+The formation is drawn in the frame that turns with it, where it stands still unless disturbed. A
+mode out of the plane is seen from above the plane's edge, with its heights as stems; one in the
+plane from the orbit's north.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from PIL import Image
+
+from tss_ros.plots.style import COLOURS, INK, finish, series_style
+
+#: Largest displacement drawn, over the formation's radius; turns shown, fewer where growth in them
+#: would exceed a factor.
+LARGEST, TURNS, MOST_GROWTH = 0.35, 3, 30.0
+#: Phases of a cycle that a still picture shows, and pictures and their time [ms] of an animation.
+PHASES, FRAMES, FRAME_MS = 5, 60, 70
+#: Where a mode out of the plane is seen from [rad]: turned about the spin axis, above the plane.
+AZIMUTH, ELEVATION = math.radians(-25.0), math.radians(24.0)
+#: Share of a mode's motion out of the plane above which it is drawn as such.
+ABOVE = 0.5
+#: Distance from the centre, over the radius, below which a bead has no direction of its own.
+NEAR_CENTRE = 0.05
+DPI = 100
+
+
+@dataclass(frozen=True)
+class ShownMode:
+    """A mode along some turns, scaled for the eye.
+
+    Attributes
+    ----------
+    turns : ndarray, shape (k,)
+    place, shift : ndarray, shape (k, n, 3)
+        Undisturbed positions and displacements over the radius.
+    tether_ends : ndarray, shape (m, 2)
+    above : bool
+        Whether the mode is out of the orbit plane.
+    title : str
+    """
+
+    turns: np.ndarray
+    place: np.ndarray
+    shift: np.ndarray
+    tether_ends: np.ndarray
+    above: bool
+    title: str
+
+
+def shown_mode(
+    turns: ArrayLike,
+    position_m: ArrayLike,
+    shape: ArrayLike,
+    multiplier: complex,
+    tether_ends: ArrayLike,
+    title: str,
+) -> ShownMode:
+    """Go on with a mode from its first turn, as `core.mode_motion` or message Mode have it.
+
+    Parameters
+    ----------
+    turns : array (k,)
+        Times over the period, from 0 to 1.
+    position_m : array (k, n, 3)
+        Undisturbed positions in the turning frame [m].
+    shape : array (k, n, 3), complex
+        Displacements.
+    multiplier : complex
+        By which they are multiplied from turn to turn.
+    tether_ends : array (m, 2) of int
+    title : str
+
+    Returns
+    -------
+    ShownMode
+    """
+    turns, shape = np.asarray(turns, dtype=float), np.asarray(shape)
+    place = np.asarray(position_m, dtype=float)
+    place = place / np.max(np.linalg.norm(place, axis=2))
+    growth = abs(multiplier)
+    count = TURNS
+    if growth > 1.0:
+        count = min(TURNS, max(1, int(math.log(MOST_GROWTH) / math.log(growth))))
+    later = [shape[:-1] * multiplier**k for k in range(count)]
+    shift = np.concatenate([*later, shape[:1] * multiplier**count]).real
+    shift = shift * (LARGEST / max(np.max(np.linalg.norm(shift, axis=2)), 1e-300))
+    square = np.sum(shift**2, axis=(0, 1))
+    return ShownMode(
+        np.concatenate([turns[:-1] + k for k in range(count)] + [[count]]),
+        np.concatenate([place[:-1]] * count + [place[-1:]]),
+        shift,
+        np.asarray(tether_ends),
+        bool(square[2] > ABOVE * np.sum(square)),
+        title,
+    )
+
+
+def mode_of(result: Any) -> ShownMode:
+    """The mode that a message FloquetResult carries, with a title.
+
+    Parameters
+    ----------
+    result : message FloquetResult
+        With one mode.
+
+    Returns
+    -------
+    ShownMode
+    """
+    (mode,) = result.mode
+    rho = complex(mode.multiplier_real, mode.multiplier_imag)
+    shape = np.asarray(mode.shape_real) + 1j * np.asarray(mode.shape_imag)
+    places = (len(mode.turns), -1, 3)
+    return shown_mode(
+        mode.turns,
+        np.reshape(mode.position_m, places),
+        shape.reshape(places),
+        rho,
+        np.reshape(mode.tether_ends, (-1, 2)),
+        f"spin {result.spin_rate_ratio:g} Ω, {result.verdict}, |ρ| = {abs(rho):.6f} a turn,"
+        f" {result.tether_law}\n{mode.resonance or mode.in_words}",
+    )
+
+
+def mode_shape(mode: ShownMode) -> Figure:
+    """The formation at some phases of a cycle, and the displacement of every bead against turns.
+
+    Parameters
+    ----------
+    mode : ShownMode
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two axes: the formation, undisturbed as a broken line, and displacements over the radius.
+    """
+    figure, formation, curves = _figure(mode)
+    largest = int(np.argmax(np.linalg.norm(mode.shift, axis=(1, 2))))
+    back = _half_cycle(mode, largest)
+    steps = np.linspace(largest - back, largest, PHASES).round().astype(int)
+    for j, step in enumerate(steps):
+        _draw_formation(formation, mode, step, 0.2 + 0.8 * j / (PHASES - 1), j == PHASES - 1)
+    curves.axvspan(mode.turns[steps[0]], mode.turns[steps[-1]], color="0.93", zorder=0)
+    _say(formation, mode, f"turn {mode.turns[steps[0]]:.2f} (faint) to {mode.turns[largest]:.2f}")
+    return figure
+
+
+def save_mode_animation(mode: ShownMode, path: str | Path) -> None:
+    """Write the mode's motion as an animated GIF.
+
+    Parameters
+    ----------
+    mode : ShownMode
+    path : str or Path
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    figure, formation, curves = _figure(mode)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    figure.set_layout_engine("none")  # to place the axes anew would take most of the time
+    cursor = curves.axvline(0.0, color=INK, linewidth=0.9)
+    limits = formation.get_xlim(), formation.get_ylim()
+    fixed = len(formation.lines), len(formation.texts)
+    pictures = []
+    for step in np.linspace(0, mode.turns.size - 1, FRAMES).round().astype(int):
+        for artist in (*formation.lines[fixed[0] :], *formation.texts[fixed[1] :]):
+            artist.remove()
+        for collection in list(formation.collections):
+            collection.remove()
+        _draw_formation(formation, mode, step, 1.0, True)
+        _say(formation, mode, f"turn {mode.turns[step]:.2f}")
+        formation.set(xlim=limits[0], ylim=limits[1])
+        cursor.set_xdata([mode.turns[step]] * 2)
+        canvas.draw()
+        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    _write_gif(pictures, path)
+
+
+def _write_gif(pictures: Iterable[Image.Image], path):
+    pictures = list(pictures)
+    palette = pictures[-1].quantize(64, dither=Image.Dither.NONE)
+    first, *others = (p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
+    first.save(
+        path, format="GIF", save_all=True, append_images=others, duration=FRAME_MS, loop=0,
+        optimize=True,
+    )  # fmt: skip
+
+
+def _figure(mode: ShownMode) -> tuple[Figure, Axes, Axes]:
+    """The figure with what does not move: the formation at rest, and all curves."""
+    figure = Figure(figsize=(9.6, 4.6), dpi=DPI, layout="constrained")
+    formation, curves = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
+    figure.suptitle(mode.title, color=INK, fontsize=11)
+    formation.set_aspect("equal")
+    formation.axis("off")
+    _draw_tethers(formation, mode, _seen(mode, mode.place[0]), color="0.6", linestyle="--", lw=1.0)
+    reach = np.concatenate([_seen(mode, mode.place[0]), _seen(mode, mode.place + mode.shift)], None)
+    half = 1.08 * max(np.max(np.abs(reach)), 0.5)
+    formation.set(xlim=(-half, half), ylim=(-half, half))
+    if mode.above:
+        values, label = mode.shift[:, :, 2], "height over the orbit plane\nover the radius [-]"
+    else:
+        outward = _outward(mode.place)
+        along = np.stack([-outward[..., 1], outward[..., 0], 0.0 * outward[..., 2]], axis=2)
+        radial, tangential = (np.sum(mode.shift * x, axis=2) for x in (outward, along))
+        radially = np.sum(radial**2) > np.sum(tangential**2)
+        values = radial if radially else tangential
+        label = f"{'outward' if radially else 'sideways'} displacement\nover the radius [-]"
+    for i, curve in enumerate(values.T):
+        curves.plot(mode.turns, curve, **series_style(i), linewidth=1.2)
+    curves.margins(x=0.0)
+    finish(curves, "turns of the formation [-]", label)
+    return figure, formation, curves
+
+
+def _outward(place):
+    """Unit vectors from the centre; a bead that stays near it has the direction of the farthest."""
+    size = np.linalg.norm(place, axis=2, keepdims=True)
+    outward = place / np.maximum(size, 1e-9)
+    near = np.min(size[:, :, 0], axis=0) < NEAR_CENTRE
+    outward[:, near] = outward[:, [np.argmax(np.mean(size[:, :, 0], axis=0))]]
+    return outward
+
+
+def _seen(mode, position):
+    """Where positions (..., n, 3) are on the picture, (..., n, 2)."""
+    x, y, z = np.moveaxis(position, -1, 0)
+    if not mode.above:
+        return np.stack([x, y], axis=-1)
+    across = math.cos(AZIMUTH) * x - math.sin(AZIMUTH) * y
+    away = math.sin(AZIMUTH) * x + math.cos(AZIMUTH) * y
+    return np.stack([across, math.sin(ELEVATION) * away + math.cos(ELEVATION) * z], axis=-1)
+
+
+def _draw_tethers(axes, mode, seen, **style):
+    pen = np.full((len(mode.tether_ends), 3, 2), np.nan)
+    pen[:, :2] = seen[mode.tether_ends]
+    axes.plot(*pen.reshape(-1, 2).T, **style)
+
+
+def _draw_formation(axes, mode, step, strength, beads):
+    """The disturbed formation at one step; of the last one beads and stems as well."""
+    place, moved = mode.place[step], mode.place[step] + mode.shift[step]
+    seen = _seen(mode, moved)
+    if mode.above and beads:
+        for foot, head, height in zip(_seen(mode, place), seen, mode.shift[step, :, 2]):
+            colour = COLOURS[1] if height > 0.0 else COLOURS[0]
+            axes.plot(*np.transpose([foot, head]), color=colour, lw=2.0, alpha=0.7, zorder=2)
+    _draw_tethers(axes, mode, seen, color=INK, lw=1.5, alpha=strength, zorder=3)
+    if beads:
+        colours = [COLOURS[i % len(COLOURS)] for i in range(len(seen))]
+        axes.scatter(*seen.T, s=46, c=colours, edgecolors=INK, linewidths=0.8, zorder=4)
+
+
+def _say(axes, mode, when):
+    """Under the formation, what is seen."""
+    seen = "orange above, blue below the plane" if mode.above else "seen from the orbit's north"
+    axes.text(
+        0.5, 0.02, f"{when}, in the turning frame\n{seen}; broken: undisturbed",
+        transform=axes.transAxes, ha="center", va="bottom", color="0.4", fontsize=8.5,
+    )  # fmt: skip
+
+
+def _half_cycle(mode, largest):
+    """Steps back from the largest displacement to where it was the most opposite."""
+    per_turn = int(round(1.0 / (mode.turns[1] - mode.turns[0])))
+    before = mode.shift[max(0, largest - per_turn) : largest]
+    if not len(before):
+        return 0
+    likeness = np.tensordot(before, mode.shift[largest], axes=([1, 2], [0, 1]))
+    return len(before) - int(np.argmin(likeness))

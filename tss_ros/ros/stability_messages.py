@@ -1,0 +1,107 @@
+"""Results of the core's stability analysis as ROS messages."""
+
+import array
+import math
+
+import numpy as np
+from tss_interfaces.msg import (
+    Confirmation,
+    CriticalRate,
+    FamilyPoint,
+    FloquetResult,
+    Mode,
+    SpecialPoint,
+)
+
+from tss_ros import core
+from tss_ros.ros.messages import doubles
+
+
+def floquet_result(
+    result: core.FloquetResult,
+    confirmation: core.Confirmation | None = None,
+    mode: Mode | None = None,
+) -> FloquetResult:
+    """A core FloquetResult as a message, with a core Confirmation; fields have the same names."""
+    return FloquetResult(
+        mode=[mode] if mode else [],
+        multiplier_real=doubles(result.multiplier.real),
+        multiplier_imag=doubles(result.multiplier.imag),
+        confirmation=[_same_fields(Confirmation, confirmation)] if confirmation else [],
+        **{
+            name: getattr(result, name)
+            for name in FloquetResult.get_fields_and_field_types()
+            if not name.startswith(("multiplier", "confirmation", "mode"))
+        },
+    )
+
+
+def deciding_mode(system: core.System, result: core.FloquetResult, samples: int) -> Mode:
+    """The mode that decided a verdict, at so many times of a turn.
+
+    Raises
+    ------
+    TssError, IntegrationError
+        As `core.compute_modes`.
+    """
+    mode = core.compute_modes(system, result)[result.deciding]
+    motion = core.mode_motion(system, result, result.deciding, samples)
+    return _same_fields(
+        Mode,
+        mode,
+        multiplier_real=mode.multiplier.real,
+        multiplier_imag=mode.multiplier.imag,
+        resonance=core.name_resonance(system, result),
+        tether_ends=array.array("I", system.tether_ends.ravel().tolist()),
+        turns=doubles(motion.turns),
+        position_m=doubles(motion.position_m),
+        shape_real=doubles(motion.shape.real),
+        shape_imag=doubles(motion.shape.imag),
+    )
+
+
+def failed_floquet_result(
+    system: core.System, spin_rate_ratio: float, message: str
+) -> FloquetResult:
+    """The message for a rate that could not be computed: NaN wherever there is no number."""
+    kinds = FloquetResult.get_fields_and_field_types()
+    unknown = dict.fromkeys((name for name, kind in kinds.items() if kind == "double"), math.nan)
+    known = {
+        "spin_rate_ratio": spin_rate_ratio,
+        "spin_rate_rad_s": spin_rate_ratio * system.orbit_rate_rad_s,
+        "tether_law": system.tether_law,
+    }
+    return FloquetResult(message=message, **{**unknown, **known})
+
+
+def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
+    """A core CriticalRate of a system as a message; fields have the same names."""
+    return _same_fields(CriticalRate, rate, tether_law=system.tether_law)
+
+
+def family_point(point: core.FamilyPoint) -> FamilyPoint:
+    """A core FamilyPoint as a message; fields have the same names."""
+    return _same_fields(FamilyPoint, point, **_motion(point))
+
+
+def special_point(point: core.SpecialPoint) -> SpecialPoint:
+    """A core SpecialPoint as a message; fields have the same names."""
+    return _same_fields(SpecialPoint, point, **_motion(point))
+
+
+def _motion(point):
+    """The fields of multipliers and state."""
+    real, imag = np.real(point.multiplier), np.imag(point.multiplier)
+    several = np.ndim(point.multiplier) > 0
+    return {
+        "multiplier_real": doubles(real) if several else float(real),
+        "multiplier_imag": doubles(imag) if several else float(imag),
+        "position_m": doubles(point.state.position_m),
+        "velocity_m_s": doubles(point.state.velocity_m_s),
+    }
+
+
+def _same_fields(kind, value, **others):
+    """A message with the fields of `value`, and others by name."""
+    names = kind.get_fields_and_field_types()
+    return kind(**{n: others[n] if n in others else getattr(value, n) for n in names})

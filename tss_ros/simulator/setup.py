@@ -1,0 +1,93 @@
+"""What a simulator's run begins with: a system, its spin and its disturbed initial state."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from tss_ros.core import State, System, disturbed, initial_state, tether_state
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    options : dict
+        The simulator's parameters that it was made from, by name; `scenario`, `publish_period_s`,
+        `disturbance_m` and `disturbance_seed` among them.
+    system : System
+    spin_rate_ratio : float
+    start : State
+    reference_radius_m : ndarray, shape (n,)
+        Distances [m] from the centre before the disturbance, the zero of Eq. (53).
+    tension_n : ndarray, shape (m,)
+        Tensions [N] before the disturbance.
+    """
+
+    options: dict
+    system: System
+    spin_rate_ratio: float
+    start: State
+    reference_radius_m: np.ndarray
+    tension_n: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        options: dict[str, Any],
+        system: System,
+        spin_rate_ratio: float,
+        start: State | None = None,
+    ) -> "Setup":
+        """Find the initial configuration, Eqs. (50)-(54), unless one is given, and disturb it.
+
+        Parameters
+        ----------
+        options : dict
+            The simulator's parameters, by name.
+        system : System
+        spin_rate_ratio : float
+        start : State, optional
+
+        Returns
+        -------
+        Setup
+
+        Raises
+        ------
+        TssError
+            If there is none for this system and rate.
+        """
+        steady = start or initial_state(system, spin_rate_ratio)
+        return cls(
+            options=options,
+            system=system,
+            spin_rate_ratio=spin_rate_ratio,
+            start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
+            reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
+            tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
+        )
+
+    @property
+    def publish_period_s(self) -> float:
+        """[s] simulated time between steps."""
+        return self.options["publish_period_s"]
+
+    @property
+    def turn_s(self) -> float:
+        """[s] duration of one spin turn."""
+        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
+
+    @property
+    def identity(self) -> dict[str, np.ndarray]:
+        """Everything that must be equal for a snapshot to fit, by name."""
+        values = {f.name: getattr(self.system, f.name) for f in dataclasses.fields(System)}
+        del values["layout_m"]
+        values |= values.pop("law_parameters")
+        values = {name: np.array(value) for name, value in values.items()}
+        values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
+        values["publish_period_s"] = np.array(self.publish_period_s)
+        return values

@@ -1,0 +1,145 @@
+"""Families of motions on disk: the points as a Parquet table, the special ones in its metadata."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from tss_ros.core import Family, FamilyPoint, SpecialPoint, State, TssError
+from tss_ros.core.model.configurations import InitialState
+from tss_ros.sweeps.jobs import cells_of, columns_of, kinds_of
+from tss_ros.sweeps.store import TYPES
+
+_KEY = b"tss_ros.family"
+
+
+def save(family: Family, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
+    """Write a family to a file that any reader of Parquet opens; it appears as a whole.
+
+    Parameters
+    ----------
+    family : Family
+    path : str or Path
+    about : mapping, optional
+        What else there is to say, as JSON can; `load_about` gives it back.
+    """
+    schema = pa.schema([(name, TYPES[kind]) for name, kind in columns_of(FamilyPoint).items()])
+    special = [
+        {name: None if value != value else value for name, value in cells_of(point).items()}
+        for point in family.special
+    ]
+    told = {
+        "parameter": family.parameter,
+        "ended": family.ended,
+        "special": special,
+        "about": dict(about or {}),
+    }
+    table = pa.Table.from_pylist(
+        [cells_of(point) for point in family.points],
+        schema.with_metadata({_KEY: json.dumps(told).encode()}),
+    )
+    path = Path(path)
+    new = path.with_name(f".{path.name}.new")
+    try:
+        pa.parquet.write_table(table, new, compression="zstd")
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def load(path: str | Path) -> Family:
+    """A family that was saved.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Family
+
+    Raises
+    ------
+    TssError
+        If there is no such file, or it holds no family.
+    """
+    table, told = _read(path)
+    points = tuple(_made(FamilyPoint, row) for row in table.to_pylist())
+    special = tuple(_made(SpecialPoint, row) for row in told["special"])
+    return Family(told["parameter"], points, special, told["ended"])
+
+
+def load_about(path: str | Path) -> dict[str, Any]:
+    """What else was said of a family when it was saved; errors as for `load`."""
+    return _read(path)[1]["about"]
+
+
+def start_from(path: str | Path, parameter: str, value: float) -> State:
+    """The motion of a saved family next to a value of its parameter.
+
+    Parameters
+    ----------
+    path : str or Path
+    parameter : str
+        The family's own is meant, or "spin_rate_ratio".
+    value : float
+
+    Returns
+    -------
+    State
+
+    Raises
+    ------
+    TssError
+        As for `load`, or if the family has no points or was followed in another parameter.
+    """
+    family = load(path)
+    if parameter not in (family.parameter, "spin_rate_ratio"):
+        raise TssError(
+            f"start {str(path)!r} was followed in {family.parameter}, which says nothing of"
+            f" {parameter}"
+        )
+    if not family.points:
+        raise TssError(f"start {str(path)!r} holds no motion")
+    name = "parameter" if parameter == family.parameter else parameter
+    near = min(family.points, key=lambda point: abs(getattr(point, name) - value))
+    state = near.state
+    return InitialState(state.position_m, state.velocity_m_s, str(path))
+
+
+def _read(path):
+    try:
+        table = pa.parquet.read_table(path)
+    except OSError as error:
+        reason = error.strerror or str(error).splitlines()[0]
+        raise TssError(f"family {str(path)!r} cannot be read: {reason}") from None
+    except pa.ArrowException as error:
+        reason = str(error).splitlines()[0]
+        raise TssError(f"family {str(path)!r} cannot be read: {reason}") from None
+    told = (table.schema.metadata or {}).get(_KEY)
+    if told is None:
+        raise TssError(f"{str(path)!r} is a Parquet table that holds no family")
+    return table, json.loads(told)
+
+
+def _made(result, row):
+    """An object of a class from a row that `cells_of` made of one."""
+    values = {}
+    for name, kind in kinds_of(result).items():
+        if kind is State:
+            arrays = (np.reshape(row[n], (-1, 3)) for n in ("position_m", "velocity_m_s"))
+            values[name] = State(*arrays)
+        elif kind is complex or name == "multiplier":
+            parts = [row[f"{name}_real"], row[f"{name}_imag"]]
+            if kind is complex:
+                values[name] = complex(*(math.nan if part is None else part for part in parts))
+            else:
+                values[name] = np.array(parts[0]) + 1j * np.array(parts[1])
+        else:
+            values[name] = math.nan if row[name] is None else row[name]
+    return result(**values)

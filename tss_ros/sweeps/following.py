@@ -1,0 +1,217 @@
+"""Executable `follow`: a family of periodic motions, followed in the spin rate or a parameter."""
+
+import argparse
+import itertools
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tss_ros import plots
+from tss_ros.command_line import Parser
+from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
+from tss_ros.scenarios import parameters, scenario
+from tss_ros.sweeps import families, software
+
+#: How often [s] the line that shows progress is renewed.
+PROGRESS_S = 0.2
+SPIN_RATE_RATIO = parameters.SPIN_RATE_RATIO.name
+
+
+def table(family: Family) -> str:
+    """A family as lines of text: a line for each part whose motions are alike, and special points.
+
+    Parameters
+    ----------
+    family : Family
+
+    Returns
+    -------
+    str
+    """
+    rows, special = [], list(family.special)
+    numbered = enumerate(family.points)
+    for _, part in itertools.groupby(numbered, key=lambda entry: _kind(entry[1])):
+        part = list(part)
+        (_, first), (number, last) = part[0], part[-1]
+        points = [point for _, point in part]
+        rows.append(_part(first, last, points))
+        rows += [_special(point) for point in special if point.after <= number]
+        special = [point for point in special if point.after > number]
+    return "\n".join(rows)
+
+
+def _kind(point):
+    return point.verdict, point.slack, point.deciding_family, point.outside
+
+
+def _part(first, last, points):
+    decided = [point.deciding_modulus for point in points]
+    low, high = min(decided), max(decided)
+    outside = f"  {first.outside} outside" if first.outside else ""
+    return (
+        f"  {first.parameter:11.6g} to {last.parameter:11.6g}  {first.verdict:22}"
+        f"  {'slack' if first.slack else 'taut':5}  |rho| {low:.6f} to {high:.6f}"
+        f"  {first.deciding_family}{outside}"
+    )
+
+
+def _special(point):
+    words = f"    {point.kind} at {point.parameter:.9g} +- {point.uncertainty:.1g}"
+    if not math.isnan(point.multiplier.real):
+        real, imag = point.multiplier.real, point.multiplier.imag
+        words += f": {point.family}, rho {real:.6f}"
+        words += f" +- {abs(imag):.6f}i" if abs(imag) > 1e-9 else ""
+    return words
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Executable `follow`.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if the family reached the end that was asked for, 1 if it did not or was
+        refused, 2 for a wrong command line, 130 when interrupted.
+    """
+    options = _parse(sys.argv[1:] if argv is None else argv)
+    stopped = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    try:
+        return _follow(options, stopped)
+    except Cancelled:
+        print("follow: interrupted before a motion was found", file=sys.stderr)
+        return 130
+    except (TssError, OSError) as error:
+        print(f"follow: {error}", file=sys.stderr)
+        return 1
+
+
+def _follow(options, stopped):
+    overrides = dict(options.override)
+    loaded = scenario.load(options.scenario)
+    system = loaded.build(overrides)
+    ratio = None
+    if options.parameter != SPIN_RATE_RATIO:
+        own = overrides.get(SPIN_RATE_RATIO, loaded.spin_rate_ratio)
+        ratio = own if options.rate is None else options.rate
+    show = _Progress() if sys.stderr.isatty() else None
+    try:
+        family = follow(
+            system, options.parameter, options.first, options.last, spin_rate_ratio=ratio,
+            state=_start(options, loaded, system), longest_step=options.step,
+            most_points=options.points, progress=show, cancelled=stopped.is_set,
+        )  # fmt: skip
+    finally:
+        if show and show.shown:
+            print(file=sys.stderr)
+    at = "" if ratio is None else f" at {SPIN_RATE_RATIO} {ratio:g}"
+    print(
+        f"{options.scenario}, {options.parameter} from {options.first:g} to {options.last:g}{at},"
+        f" {system.tether_law}, {len(family.points)} points"
+    )
+    print(table(family))
+    if options.output:
+        about = {
+            "scenario": options.scenario,
+            "scenario_yaml": scenario.read_text(options.scenario),
+            "overrides": overrides,
+            "tether_law": system.tether_law,
+            "versions": software.versions(),
+        }
+        families.save(family, options.output, about)
+    if options.plot:
+        plots.family(family, _label(options.parameter), system.tether_law).savefig(options.plot)
+    if family.ended:
+        print(f"follow: {family.ended}", file=sys.stderr)
+    if stopped.is_set():
+        return 130
+    return int(bool(family.ended))
+
+
+def _start(options, loaded, system):
+    """The state to begin with: from a file, the scenario's own, or None."""
+    if options.start is None:
+        return loaded.start(system)
+    if options.start.suffix != ".parquet":
+        return scenario.read_start(options.start, system)
+    state = families.start_from(options.start, options.parameter, options.first)
+    return scenario.given_start(system, state.position_m, state.velocity_m_s, str(options.start))
+
+
+def _label(name):
+    """The abscissa's label of a parameter."""
+    if name == SPIN_RATE_RATIO:
+        return "spin rate over orbital rate, ω/Ω [-]"
+    (unit,) = (p.unit for p in parameters.SCENARIO if p.name == name)
+    return f"{name} [{unit}]"
+
+
+class _Progress:
+    """The line on a terminal that says how far a family is."""
+
+    def __init__(self):
+        self.shown, self._points, self._begun, self._last = False, 0, time.monotonic(), 0.0
+
+    def __call__(self, done: float, point: FamilyPoint) -> None:
+        self._points, now = self._points + 1, time.monotonic()
+        if now - self._last < PROGRESS_S:
+            return
+        self.shown, self._last = True, now
+        print(
+            f"\r{done:.0%}, {point.parameter:.6g}: {point.verdict}, {self._points} points in"
+            f" {now - self._begun:.0f} s\033[K",
+            end="", file=sys.stderr, flush=True,
+        )  # fmt: skip
+
+
+def _parse(arguments):
+    parser = Parser(
+        prog="follow",
+        description="Follow a family of periodic motions in the spin rate or a parameter.",
+    )
+    parser.add_argument(
+        "scenario", nargs="?", default="three_star", help="shipped name or file (three_star)"
+    )
+    parser.add_argument(
+        "--parameter", default=SPIN_RATE_RATIO, metavar="NAME",
+        help=f"{SPIN_RATE_RATIO} (default), {', '.join(PARAMETERS)}",
+    )  # fmt: skip
+    parser.add_argument("--from", dest="first", type=float, required=True, metavar="VALUE")
+    parser.add_argument("--to", dest="last", type=float, required=True, metavar="VALUE")
+    parser.add_argument(
+        "--rate", type=float, help="spin rate if another parameter is followed (the scenario's)"
+    )
+    parser.add_argument(
+        "--override", nargs="+", action="extend", default=[], type=_override, metavar="NAME=VALUE",
+        help="a parameter that differs from the scenario's, e.g. tether_law=tension_only",
+    )  # fmt: skip
+    parser.add_argument(
+        "--start", type=Path, metavar="FILE",
+        help="begin next to this motion: position_m and velocity_m_s of each bead in YAML or JSON,"
+        " or what --output has written (the scenario's velocities, else its own family)",
+    )  # fmt: skip
+    parser.add_argument("--step", type=float, default=0.04, help="longest, over the value (0.04)")
+    parser.add_argument("--points", type=int, default=2000, help="at most (2000)")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the points and states (.parquet)"
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw them (png, pdf, ...)")
+    options = parser.parse_args(arguments)
+    if options.rate is not None and options.parameter == SPIN_RATE_RATIO:
+        parser.error(f"--rate needs another --parameter than {SPIN_RATE_RATIO}")
+    if options.points < 1:
+        parser.error(f"--points is {options.points}; allowed: 1 or more")
+    if options.output and options.output.suffix != ".parquet":
+        parser.error(f"--output is {str(options.output)!r}; allowed: a file that ends in .parquet")
+    return options
+
+
+def _override(text):
+    try:
+        return parameters.read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
