@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tss_ros.core.numerics.simd import inlined, kernel
+from tss_ros.core.numerics.simd import inlined, kernel, python_kernel
 
 
 def rigid_velocity(position_m: np.ndarray, spin_rate_rad_s: float) -> np.ndarray:
@@ -82,7 +82,7 @@ def to_orbit_frame(spin, time, v, r, out_v, out_r):
         out_r[i, 2], out_v[i, 2] = r[i, 2], v[i, 2]
 
 
-@kernel
+@python_kernel
 def to_turning_frame(spin, time, v, r):
     """The inverse of `to_orbit_frame`, in place."""
     c, s = math.cos(spin * time), math.sin(spin * time)

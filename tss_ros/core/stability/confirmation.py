@@ -196,7 +196,7 @@ def confirm(
         turned,
         shortest,
         float(times[loud[-1] + 1] / period) if settled else math.inf,
-        _growth(nudged, calm, size),
+        _growth(nudged, calm, system.mass_kg),
         float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
         float(from_centre),
         switches,
@@ -216,15 +216,18 @@ def _turned(arm, spin):
     return float(turns[far[np.argmax(np.abs(turns[far] - whole))]])
 
 
-def _growth(nudged, calm, size):
-    """Growth a turn of the difference between two motions in shape and tilt, (k, n, 3) each."""
-    shape = np.linalg.norm(nudged, axis=2) - np.linalg.norm(calm, axis=2)
-    tilt = nudged[:, :, 2] - calm[:, :, 2]
-    difference = np.linalg.norm(np.concatenate([shape, tilt], axis=1), axis=1) / size
-    largest = np.max(difference[1:].reshape(-1, SAMPLES), axis=1)
+def _growth(nudged, calm, mass):
+    """Growth a turn of the difference between two motions, arms (k, n, 3), but for the phase."""
+    size = np.max(np.linalg.norm(calm[0], axis=1))
+    difference, along = nudged - calm, np.cross([0.0, 0.0, 1.0], calm)
+    phase = np.einsum("i,kic,kic->k", mass, along, difference)
+    phase /= np.einsum("i,kic,kic->k", mass, along, along)
+    difference = difference - phase[:, None, None] * along
+    distance = np.linalg.norm(difference, axis=(1, 2)) / size
+    largest = np.max(distance[1:].reshape(-1, SAMPLES), axis=1)
     # An unstable motion leaves its own start too, and then is no longer what the matrix is of.
-    distance = np.linalg.norm(calm, axis=2)[::SAMPLES] / size
-    own = np.max(np.abs(distance - distance[0])[1:], axis=1)
+    radius = np.linalg.norm(calm, axis=2)[::SAMPLES] / size
+    own = np.max(np.abs(radius - radius[0])[1:], axis=1)
     over = np.append((largest > STILL_SMALL) | (own > STILL_CLOSED), True)
     turns = int(np.argmax(over))
     if turns < 4:

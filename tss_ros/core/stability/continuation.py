@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.errors import IntegrationError
+from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.stability.closing import (
     CLOSED,
     ClosingEquations,
@@ -175,6 +175,8 @@ class Curve:
             If it was; the curve goes on from where it is.
         """
         while self._step >= SHORTEST_STEP:
+            if self.equations.cancelled is not None and self.equations.cancelled():
+                raise Cancelled(f"stopped at {self.point.parameter:.6g}")
             after = beside(self.equations, self.point, self._step, self.whole)
             if after is None:
                 self._step *= 0.5

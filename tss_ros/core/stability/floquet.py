@@ -101,7 +101,8 @@ def compute_floquet(
         start = state or next(initial_states(system, spin_rate_ratio))
     except NoSteadyState as error:
         start = State(system.layout_m, rigid_velocity(system.layout_m, spin))
-        return _without_motion(method, system, spin, start, str(error))
+        if method == "frozen" or not correct or leading is not None or system.n > MOST_BEADS:
+            return _without_motion(method, system, spin, start, str(error))
     length = float(np.max(np.linalg.norm(start.position_m, axis=1)))
     integrator = Integrator(system, spin, rtol, length)
     if method == "frozen":
@@ -178,15 +179,18 @@ def _near(integrator, ratio, state, cancelled):
 def _first_of_starts(integrator, ratio, cancelled):
     """The first motion that is found from the formation's initial states; and words on it."""
     tried = []
-    for start in initial_states(integrator.system, ratio):
-        try:
-            motion = families.nearest_motion(integrator.system, ratio, start, cancelled)
-            refusal = _refusal(integrator, motion)
-        except IntegrationError as error:
-            refusal = str(error)
-        if not refusal:
-            return motion, f"start from {motion.origin}"
-        tried.append(f"from {start.origin}: {refusal}")
+    try:
+        for start in initial_states(integrator.system, ratio):
+            try:
+                motion = families.nearest_motion(integrator.system, ratio, start, cancelled)
+                refusal = _refusal(integrator, motion)
+            except IntegrationError as error:
+                refusal = str(error)
+            if not refusal:
+                return motion, f"start from {motion.origin}"
+            tried.append(f"from {start.origin}: {refusal}")
+    except NoSteadyState as error:
+        tried.append(str(error))
     return None, f"tried {'; '.join(tried)}"
 
 
