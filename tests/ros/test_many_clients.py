@@ -10,7 +10,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
-from tss_interfaces.action import Sweep
+from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.msg import SimulationState
 from tss_interfaces.srv import (
     ComputeFloquet,
@@ -99,24 +99,30 @@ def test_the_stability_node_answers_all_and_says_when_it_is_busy(start):
     assert process.stop() == 0, process.stderr
 
 
-@pytest.mark.parametrize("count", [20, 100])
-def test_a_storm_of_goals_and_cancellations_is_answered(start, client, count):
+SWEEP = Sweep.Goal(spin_rate_ratio=[-2.5] * 10, method="frozen")
+FOLLOW = Follow.Goal(start=-2.5, stop=-3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "goal", "count"),
+    [("sweep", Sweep, SWEEP, 20), ("sweep", Sweep, SWEEP, 100), ("follow", Follow, FOLLOW, 60)],
+)
+def test_a_storm_of_goals_and_cancellations_is_answered(start, client, name, kind, goal, count):
     node, spin_until = client
-    process, name = start("stability_node"), "/stability_node/sweep"
+    process, first = start("stability_node"), []
     services = ("goal_service", "result_service", "cancel_service")
     qos = {f"{service}_qos_profile": KEPT for service in services}
-    sweeps = ActionClient(node, Sweep, name, **qos)
-    spin_until(sweeps.server_is_ready, ros_harness.START_S, "the action")
-    goal, first = Sweep.Goal(spin_rate_ratio=[-2.5] * 10, method="frozen"), []
+    actions = ActionClient(node, kind, f"/stability_node/{name}", **qos)
+    spin_until(actions.server_is_ready, ros_harness.START_S, "the action")
 
     def accepted():  # the node may not yet have found who asks
         if len(first) < time.monotonic() - begun:
-            first.append(sweeps.send_goal_async(goal))
+            first.append(actions.send_goal_async(goal))
         return any(future.done() for future in first)
 
     begun = time.monotonic()
     spin_until(accepted, 30, "a first goal")
-    sent = [sweeps.send_goal_async(goal) for _ in range(count)]
+    sent = [actions.send_goal_async(goal) for _ in range(count)]
     spin_until(lambda: all(future.done() for future in sent), 20, "every acceptance")
     handles = [future.result() for future in sent]
     results = [handle.get_result_async() for handle in handles]
