@@ -1,7 +1,6 @@
 """Executable `follow`: a family of periodic motions, followed in the spin rate or a parameter."""
 
 import argparse
-import itertools
 import math
 import signal
 import sys
@@ -31,15 +30,14 @@ def table(family: Family) -> str:
     -------
     str
     """
-    rows, special = [], list(family.special)
-    numbered = enumerate(family.points)
-    for _, part in itertools.groupby(numbered, key=lambda entry: _kind(entry[1])):
-        part = list(part)
-        (_, first), (number, last) = part[0], part[-1]
-        points = [point for _, point in part]
-        rows.append(_part(first, last, points))
-        rows += [_special(point) for point in special if point.after <= number]
-        special = [point for point in special if point.after > number]
+    rows, first = [], 0
+    points, ends = family.points, {point.after for point in family.special}
+    for number, point in enumerate(points):
+        last = number + 1 == len(points)
+        if last or number in ends or _kind(points[number + 1]) != _kind(point):
+            rows.append(_part(points[first : number + 1]))
+            rows += [_special(found) for found in family.special if found.after == number]
+            first = number + 1
     return "\n".join(rows)
 
 
@@ -47,14 +45,14 @@ def _kind(point):
     return point.verdict, point.slack, point.deciding_family, point.outside
 
 
-def _part(first, last, points):
+def _part(points):
+    first, last = points[0], points[-1]
     decided = [point.deciding_modulus for point in points]
-    low, high = min(decided), max(decided)
-    outside = f"  {first.outside} outside" if first.outside else ""
+    outside = f", {first.outside} outside" if first.outside else ""
     return (
         f"  {first.parameter:11.6g} to {last.parameter:11.6g}  {first.verdict:22}"
-        f"  {'slack' if first.slack else 'taut':5}  |rho| {low:.6f} to {high:.6f}"
-        f"  {first.deciding_family}{outside}"
+        f"  {'slack' if first.slack else 'taut':5}"
+        f"  |rho| {min(decided):.6g} to {max(decided):.6g}, {first.deciding_family}{outside}"
     )
 
 
