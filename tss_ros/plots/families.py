@@ -137,7 +137,8 @@ def _moduli(axes, followed):
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_ylim(min(0.97 * lowest, 0.95), min(max(1.03 * highest, 1.05), LARGEST))
+    lowest, highest = min(lowest, 0.99), min(max(highest, 1.01), LARGEST)
+    axes.set_ylim(lowest / (highest / lowest) ** 0.05, highest * (highest / lowest) ** 0.05)
 
 
 def _handles(followed, looks):

@@ -213,7 +213,7 @@ class _Run:
 
     def __init__(self, at, parameter, start, stop, state, longest_step, cancelled):
         self.at, self.parameter, self.start, self.stop = at, parameter, start, stop
-        self.sense = math.copysign(1.0, stop - start)
+        self.sense, self.cancelled = math.copysign(1.0, stop - start), cancelled
         system, spin = at(start)
         ratio = spin / system.orbit_rate_rad_s
         motion = self._first(system, ratio, state, cancelled)
@@ -262,6 +262,9 @@ class _Run:
         self._keep(before)
         try:
             while len(self.points) < most_points:
+                # Integrators ask once in many steps, of which a short turn has too few.
+                if self.cancelled is not None and self.cancelled():
+                    raise Cancelled
                 after = self._seen(self.curve.advance())
                 self._locate(before, after)
                 value = after.point.parameter
