@@ -185,7 +185,7 @@ def test_a_canceled_goal_keeps_what_was_found_and_the_next_one_has_its_turn(clie
     long = Follow.Goal(start=-9.0, stop=-2.3, longest_step=1e-4, most_points=10_000)
     first, told, answer = client.send(long)
     client.spin_until(lambda: told, 30, "feedback")
-    _, _, sweep = client.send(Sweep.Goal(spin_rate_ratio=[-2.5], method="frozen"))
+    _, _, sweep = client.send(Sweep.Goal(spin_rate_ratio=[-2.5]))
     assert not sweep.done()
     first.cancel_goal_async()
     client.spin_until(answer.done, 10, "the end of a canceled goal")

@@ -78,8 +78,7 @@ def system_description(
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
     options : dict
-        The simulator's parameters; at least `scenario`, `disturbance_m`, `disturbance_seed` and
-        `publish_period_s`.
+        The simulator's parameters.
     run, first_step, time_ns : int
         Number of the run, its first step and the simulation time [ns] of that.
     frame_id : str
@@ -150,9 +149,6 @@ def simulation_event(
     frame_id : str
         Name of the orbit frame.
 
-    Returns
-    -------
-    SimulationEvent
     """
     header = Header(stamp=stamp(time_ns), frame_id=frame_id)
     return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)
@@ -380,24 +376,19 @@ def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
 
 def family_point(point: core.FamilyPoint) -> FamilyPoint:
     """A core FamilyPoint as a message; fields have the same names."""
-    return _same_fields(FamilyPoint, point, **_motion(point))
+    return _of_family(FamilyPoint, point, _doubles)
 
 
 def special_point(point: core.SpecialPoint) -> SpecialPoint:
-    """A core SpecialPoint as a message; fields have the same names."""
-    return _same_fields(SpecialPoint, point, **_motion(point))
+    """A core SpecialPoint, likewise."""
+    return _of_family(SpecialPoint, point, float)
 
 
-def _motion(point):
-    """The fields of multipliers and state."""
-    real, imag = np.real(point.multiplier), np.imag(point.multiplier)
-    several = np.ndim(point.multiplier) > 0
-    return {
-        "multiplier_real": _doubles(real) if several else float(real),
-        "multiplier_imag": _doubles(imag) if several else float(imag),
-        "position_m": _doubles(point.state.position_m),
-        "velocity_m_s": _doubles(point.state.velocity_m_s),
-    }
+def _of_family(kind, point, number):
+    others = {n: _doubles(getattr(point.state, n)) for n in ("position_m", "velocity_m_s")}
+    for part in ("real", "imag"):
+        others[f"multiplier_{part}"] = number(getattr(point.multiplier, part))
+    return _same_fields(kind, point, **others)
 
 
 def _same_fields(kind, value, **others):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from tss_ros.core.model.parameters import PARAMETERS, with_parameter
 from tss_ros.core.model.symmetry import cyclic_symmetry
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.stability import continuation, families
+from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.spectrum import Spectrum, spectrum
@@ -121,7 +123,7 @@ class Family:
         names = [n for n in FamilyPoint.__dataclass_fields__ if n not in ("multiplier", "state")]
         return {name: [getattr(point, name) for point in self.points] for name in names}
 
-    def to_pandas(self):
+    def to_pandas(self) -> Any:
         """The points as a pandas DataFrame, arrays left out."""
         import pandas as pd
 
@@ -194,10 +196,8 @@ def _systems(system, parameter, spin_rate_ratio):
                            f" got {spin_rate_ratio:g}")  # fmt: skip
         return lambda value: (system, system.spin_rate_rad_s(value))
     if parameter not in PARAMETERS:
-        raise TssError(
-            f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
-            f" got {parameter!r}"
-        )
+        raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
+                       f" got {parameter!r}")  # fmt: skip
     if spin_rate_ratio is None:
         raise TssError(f"spin_rate_ratio must be given to follow {parameter}")
 
@@ -223,6 +223,8 @@ class _Run:
             self._symmetry(system, motion, ratio, cancelled), families.RTOL, cancelled, scale,
         )  # fmt: skip
         y = self.equations.vector(motion.state, start, motion.spin_loss)
+        if state is not None and (why := look(self.equations.integrator(y), motion.state).refusal):
+            raise TssError(f"no motion to follow was found from the given state: {why}")
         first = continuation.begin(self.equations, y, self.sense, True)
         self.curve = Curve(self.equations, first, True, longest_step)
         self.points, self.special = [], []
@@ -262,9 +264,8 @@ class _Run:
         self._keep(before)
         try:
             while len(self.points) < most_points:
-                # Integrators ask once in many steps, of which a short turn has too few.
                 if self.cancelled is not None and self.cancelled():
-                    raise Cancelled
+                    raise Cancelled  # integrators ask once in more steps than a turn may have
                 after = self._seen(self.curve.advance())
                 self._locate(before, after)
                 value = after.point.parameter
