@@ -78,7 +78,6 @@ def system_description(
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
     options : dict
-        The simulator's parameters.
     run, first_step, time_ns : int
         Number of the run, its first step and the simulation time [ns] of that.
     frame_id : str
@@ -385,10 +384,9 @@ def special_point(point: core.SpecialPoint) -> SpecialPoint:
 
 
 def _of_family(kind, point, number):
-    others = {n: _doubles(getattr(point.state, n)) for n in ("position_m", "velocity_m_s")}
-    for part in ("real", "imag"):
-        others[f"multiplier_{part}"] = number(getattr(point.multiplier, part))
-    return _same_fields(kind, point, **others)
+    arrays = {n: _doubles(getattr(point.state, n)) for n in ("position_m", "velocity_m_s")}
+    parts = {f"multiplier_{n}": number(getattr(point.multiplier, n)) for n in ("real", "imag")}
+    return _same_fields(kind, point, **arrays, **parts)
 
 
 def _same_fields(kind, value, **others):
