@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import pickle
 import pty
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from paper import tension
 from PIL import Image
 from scipy.optimize import brentq
 
-from tss_ros.core import TssError, follow, ring
+from tss_ros.core import FamilyJob, TssError, follow, ring, sweep
 from tss_ros.sweeps import families
 
 FOLLOW = [
@@ -72,6 +73,13 @@ def test_other_programs_read_the_points(past_first_slack, tmp_path):
     point = past_first_slack.points[0]
     np.testing.assert_array_equal(read.multiplier_imag[0], point.multiplier.imag)
     np.testing.assert_array_equal(read.position_m[0], point.state.position_m.ravel())
+
+
+def test_families_are_jobs_of_a_sweep_that_can_be_sent_elsewhere(past_first_slack):
+    jobs = [FamilyJob(ring(), "spin_rate_ratio", -2.2, stop) for stop in (-2.2, -2.14)]
+    outcomes = dict(sweep(pickle.loads(pickle.dumps(jobs)), workers=2))
+    assert "must not be empty" in str(outcomes[0])
+    assert same(pickle.loads(pickle.dumps(outcomes[1])), past_first_slack)
 
 
 def test_what_is_no_family_is_refused(tmp_path):

@@ -19,7 +19,13 @@ from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.follow import Family, FamilyPoint, SpecialPoint, follow
 from tss_ros.core.stability.mode_shapes import DIRECTIONS, Mode, compute_modes
 from tss_ros.core.stability.modes import FAMILIES
-from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.parallel import (
+    ConfirmationJob,
+    CriticalRatesJob,
+    FamilyJob,
+    FloquetJob,
+    sweep,
+)
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult
 
@@ -38,6 +44,7 @@ __all__ = [
     "Confirmation",
     "CriticalRate",
     "Family",
+    "FamilyJob",
     "FamilyPoint",
     "FloquetResult",
     "IntegrationError",
