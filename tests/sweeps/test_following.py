@@ -129,7 +129,7 @@ def test_other_parameters_are_followed_at_a_rate_with_overrides():
 
 def test_a_scenario_with_velocities_is_a_start(tmp_path):
     (tmp_path / "own.yaml").write_text(SCENARIO)
-    done = run(tmp_path / "own.yaml", "--from", "-3", "--to", "-2.9")
+    done = run(tmp_path / "own.yaml", "--from", "-3e0", "--to", "-29e-1")
     assert done.returncode == 0, done.stderr
     assert "asymptotically stable" in done.stdout
 

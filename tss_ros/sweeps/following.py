@@ -1,6 +1,7 @@
 """Executable `follow`: a family of periodic motions, followed in the spin rate or a parameter."""
 
 import argparse
+import contextlib
 import math
 import signal
 import sys
@@ -197,7 +198,8 @@ def _parse(arguments):
         "--output", type=Path, metavar="FILE", help="write the points and states (.parquet)"
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw them (png, pdf, ...)")
-    options = parser.parse_args(arguments)
+    # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
+    options = parser.parse_args([f" {a}" if _is_negative(a) else a for a in arguments])
     if options.rate is not None and options.parameter == SPIN_RATE_RATIO:
         parser.error(f"--rate needs another --parameter than {SPIN_RATE_RATIO}")
     if options.points < 1:
@@ -205,6 +207,12 @@ def _parse(arguments):
     if options.output and options.output.suffix != ".parquet":
         parser.error(f"--output is {str(options.output)!r}; allowed: a file that ends in .parquet")
     return options
+
+
+def _is_negative(text):
+    with contextlib.suppress(ValueError):
+        return text.startswith("-") and math.isfinite(float(text))
+    return False
 
 
 def _override(text):
