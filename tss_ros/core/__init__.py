@@ -26,7 +26,13 @@ from tss_ros.core.stability.mode_shapes import (
     mode_motion,
 )
 from tss_ros.core.stability.modes import FAMILIES
-from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.parallel import (
+    ConfirmationJob,
+    CriticalRatesJob,
+    FamilyJob,
+    FloquetJob,
+    sweep,
+)
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 
@@ -46,6 +52,7 @@ __all__ = [
     "Confirmation",
     "CriticalRate",
     "Family",
+    "FamilyJob",
     "FamilyPoint",
     "FloquetResult",
     "IntegrationError",

@@ -60,18 +60,14 @@ class Setup:
 
     @classmethod
     def of(
-        cls,
-        options: dict[str, Any],
-        system: System,
-        spin_rate_ratio: float,
+        cls, options: dict[str, Any], system: System, spin_rate_ratio: float,
         start: State | None = None,
-    ) -> "Setup":
+    ) -> "Setup":  # fmt: skip
         """Find the initial configuration, Eqs. (50)-(54), unless one is given, and disturb it.
 
         Parameters
         ----------
         options : dict
-            The simulator's parameters, by name.
         system : System
         spin_rate_ratio : float
         start : State, optional
@@ -83,7 +79,7 @@ class Setup:
         Raises
         ------
         TssError
-            If there is none for this system and rate.
+            If there is none.
         """
         steady = start or initial_state(system, spin_rate_ratio)
         return cls(
