@@ -168,3 +168,28 @@ def test_a_mode_is_drawn_from_turn_to_turn_as_its_multiplier_says():
     assert "sideways" in plots.mode_shape(inside).axes[1].get_ylabel()
     fast = plots.shown_mode(turns, place, shape, 50.0, [[0, 1]], "")
     assert fast.turns[-1] == 1.0
+
+
+def test_a_family_is_drawn_by_stability_and_slackness_with_its_special_points():
+    followed = core.follow(core.ring(), "spin_rate_ratio", -2.2, -2.14)
+    (special,) = followed.special
+    figure = plots.family(followed, "rate [-]", "kelvin_voigt")
+    above, below = figure.axes
+    assert below.get_xlabel() == "rate [-]" and "[m]" in above.get_ylabel()
+    curves = [line for line in above.lines if len(line.get_xdata()) > 1]
+    taut, slack = curves
+    assert taut.get_color() != slack.get_color()
+    # The colour changes where tethers begin to go slack, not at the motion before or after.
+    assert taut.get_xdata()[-1] == slack.get_xdata()[0] == special.parameter
+    drawn = [p.parameter for p in followed.points]
+    assert [*taut.get_xdata()[:-1], *slack.get_xdata()[1:]] == drawn
+    radius = np.linalg.norm(followed.points[0].state.position_m, axis=1).max()
+    assert taut.get_ydata()[0] == radius
+    marked = [line for line in above.lines if line.get_marker() not in ("None", "")]
+    assert [line.get_xdata().tolist() for line in marked if len(line.get_xdata())] == [
+        [special.parameter]
+    ]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "asymptotically stable" in labels and "first slack" in labels
+    assert "tethers go slack" in labels and "fold" not in labels
+    assert legend_box_clear_of_axes(figure)

@@ -30,7 +30,7 @@ def messages():
         "tether_states": make.tether_states(1, 10, length_m, tension_n, taut),
         "markers": make.markers(10, state.position_m, tension_n, taut),
         "bead_cloud": make.bead_cloud(10, *moved),
-        "tether_lengths": make.tether_lengths(10, length_m, tension_n),
+        "tether_lengths": make.tether_lengths(10, length_m, 0.0 * length_m, tension_n),
         "simulation_events": simulation_event(10, 1, 0, "reset", "time and Ω", "orbit"),
         "stability_results": FloquetResult(verdict="stable", message="", tether_law="x"),
         "system_description": SystemDescription(

@@ -39,7 +39,7 @@ def test_a_node_does_not_wait_for_a_pipe(start, pipe):
 
 
 def test_a_running_simulator_refuses_what_would_block_or_fill_it(start, client, pipe, tmp_path):
-    process = start("sim_node", start_paused=True)
+    process = start("sim_node", start_paused=True, service_folder=str(tmp_path))
     simulator = ros_harness.Simulator(*client)
     simulator.do(SaveSnapshot, file="good.npz")
     outcome = simulator.set(scenario=pipe)

@@ -4,6 +4,7 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from ament_index_python.packages import get_package_share_directory
@@ -11,7 +12,7 @@ from tss_interfaces.msg import SystemDescription
 
 from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, System, TssError, formation
 from tss_ros.scenarios import parameters, scenario
-from tss_ros.scenarios.parameters import FORMATION, GRAPH, HEADING, SCENARIO, names
+from tss_ros.scenarios.parameters import FORMATION, GRAPH, HEADING, SCENARIO, names, read_assignment
 from tss_ros.sweeps.command import main as sweep
 
 #: Of `formation`, but not for scenarios: the shape, and switches for closed-form checks.
@@ -174,3 +175,59 @@ def test_tables_have_a_text_for_every_column():
         assert all(row[title] for title in ("type", "allowed", "meaning"))
         if parameter.default is not None:
             assert parameter.type(row["default"]) == parameter.default
+
+
+RELEASED = """
+spin_rate_ratio: -3.0
+bodies:
+  - {name: a, mass_kg: 1.0, position_m: [0, 6, 0], velocity_m_s: [2.0, 0.0, 0.4]}
+  - {name: b, mass_kg: 1.0, position_m: [0, -6, 0], velocity_m_s: [-1.0, 0.0, -0.2]}
+tethers:
+  - {between: [a, b], length_m: 12.0, axial_stiffness_n: 1.0, damping_n_s_per_m: 0.0,
+     bead_mass_kg: [0.1, 0.1]}
+"""
+
+
+def test_velocities_of_bodies_make_a_start(tmp_path):
+    file = tmp_path / "released.yaml"
+    file.write_text(RELEASED)
+    loaded = scenario.load(file)
+    system = loaded.build()
+    start = loaded.start(system)
+    names_in_line = ("a", "tether_1_bead_1", "tether_1_bead_2", "b")
+    order = [system.bead_name.index(name) for name in names_in_line]
+    assert start.position_m[order].tolist() == [[0, 6, 0], [0, 2, 0], [0, -2, 0], [0, -6, 0]]
+    # Beads at thirds of the tether have the velocity at thirds between its ends.
+    expected = [[2, 0, 0.4], [1, 0, 0.2], [0, 0, 0], [-1, 0, -0.2]]
+    assert start.velocity_m_s[order] == pytest.approx(np.array(expected))
+    assert scenario.load("three_star").start(scenario.load("three_star").build()) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (", velocity_m_s: [2.0, 0.0, 0.4]", "", r"bodies\[1\] has velocity_m_s and bodies\[0\]"),
+        ("[2.0, 0.0, 0.4]", "[2.0, 0.0]", r"bodies\[0\].velocity_m_s must be \[x, y, z\]"),
+        ("[2.0, 0.0, 0.4]", "[2.0, .nan, 0.4]", r"bodies\[0\].velocity_m_s must be .*nan"),
+        ("velocity_m_s: [2", "velocity: [2", r"bodies\[0\] has 'velocity'; .*velocity_m_s"),
+    ],
+)
+def test_wrong_velocities_are_named(tmp_path, old, new, expected):
+    file = tmp_path / "released.yaml"
+    file.write_text(RELEASED.replace(old, new))
+    with pytest.raises(TssError, match=expected):
+        scenario.load(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("satellites=3", ("satellites", 3)),
+        ("j2=1e-3", ("j2", 1e-3)),
+        ("satellite_mass_kg=[50,60.5]", ("satellite_mass_kg", [50.0, 60.5])),
+        ("tether_law=tension_only", ("tether_law", "tension_only")),
+    ],
+)
+def test_assignments_on_command_lines_are_read(text, expected):
+    name, value = read_assignment(text)
+    assert (name, value) == expected and type(value) is type(expected[1])

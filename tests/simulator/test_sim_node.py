@@ -296,7 +296,7 @@ def test_parameters_go_round(start, client, tmp_path):
     )
     masses_kg = [100.0, 200.0, 100.0, 200.0]
     given = {"spin_rate_ratio": -5, "satellites": 4, "satellite_mass_kg": masses_kg}
-    first = start("sim_node", start_paused=True, turns=3, **given)
+    first = start("sim_node", start_paused=True, turns=3, service_folder=str(tmp_path), **given)
     simulator = ros_harness.Simulator(*client)
     simulator.do(GetSimulationState)
     values = dumped(simulator)
@@ -386,3 +386,20 @@ def test_requests_are_answered_while_a_stiff_system_is_integrated(start, client)
     timed("reset", lambda: simulator.do(ResetSimulation))
     assert times["reset"] < 5.0, times  # the equilibrium of 999 beads has to be found
     assert process.stop() == 0, process.stderr
+
+
+def test_a_scenario_with_velocities_is_where_the_motion_starts(start, client, tmp_path):
+    (tmp_path / "released.yaml").write_text(
+        "spin_rate_ratio: -3.0\nbodies:\n"
+        "  - {name: a, mass_kg: 100, position_m: [0, 500, 0], velocity_m_s: [1.5, 0.0, 0.4]}\n"
+        "  - {name: b, mass_kg: 100, position_m: [0, -500, 0], velocity_m_s: [-1.5, 0.0, -0.4]}\n"
+        "tethers:\n  - {between: [a, b], length_m: 1000.0, axial_stiffness_n: 5.0e4,"
+        " damping_n_s_per_m: 500.0}\n"
+    )
+    scenario = str(tmp_path / "released.yaml")
+    start("sim_node", scenario=scenario, start_paused=True, disturbance_m=0.0)
+    simulator = ros_harness.Simulator(*client)
+    simulator.do(ResetSimulation)
+    first = simulator.spin_until(lambda: simulator.beads, ros_harness.START_S, "a state")[0]
+    assert first.position_m.tolist() == [0, 500, 0, 0, -500, 0]
+    assert first.velocity_m_s.tolist() == [1.5, 0.0, 0.4, -1.5, 0.0, -0.4]

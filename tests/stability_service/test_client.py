@@ -1,13 +1,14 @@
 """The client of the stability node, as users run it: tables, files, refusals."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
 from PIL import Image
 from ros_harness import START_S, Process, client_node, processes
 
-from tss_ros.core import TssError
+from tss_ros.core import TssError, initial_state, ring
 from tss_ros.stability_service import client
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -133,6 +134,19 @@ def test_a_refusal_is_one_line_and_a_failure(ask, arguments, expected):
     status, out, err = ask(*arguments)
     assert (status, out) == (1, "")
     assert err.startswith("stability: ") and expected in err and err.count("\n") == 1
+
+
+def test_a_start_from_a_file_reaches_the_node(ask, tmp_path):
+    start = initial_state(ring(), -2.5)
+    content = {name: getattr(start, name).tolist() for name in ("position_m", "velocity_m_s")}
+    (tmp_path / "start.json").write_text(json.dumps(content))
+    status, out, err = ask("-2.5", "--start", tmp_path / "start.json")
+    assert status == 0, err
+    (row,) = columns(out)
+    assert row[4] == "asymptotically stable" and "the start that was given" in row[-1]
+    (tmp_path / "start.json").write_text(json.dumps({**content, "position_m": [1.0]}))
+    status, out, err = ask("-2.5", "--start", tmp_path / "start.json")
+    assert (status, out) == (1, "") and "position_m has 1 numbers; allowed: 9" in err
 
 
 def test_a_rate_that_fails_leaves_the_others_their_results(ask):

@@ -21,7 +21,13 @@ from tss_ros.core.stability.mode_shapes import (
     mode_motion,
 )
 from tss_ros.core.stability.modes import FAMILIES
-from tss_ros.core.stability.parallel import ConfirmationJob, CriticalRatesJob, FloquetJob, sweep
+from tss_ros.core.stability.parallel import (
+    ConfirmationJob,
+    CriticalRatesJob,
+    FamilyJob,
+    FloquetJob,
+    sweep,
+)
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 
@@ -41,6 +47,7 @@ __all__ = [
     "Confirmation",
     "CriticalRate",
     "Family",
+    "FamilyJob",
     "FamilyPoint",
     "FloquetResult",
     "IntegrationError",

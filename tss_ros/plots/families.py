@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from tss_ros.core import SPECIAL_KINDS, Family
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, finish, state_law
@@ -45,14 +46,16 @@ def family(followed: Family, label: str = "", law: str = "") -> Figure:
     size = np.array([_size(vertex.state) for vertex, _ in vertices])
     looks = _looks(followed, vertices)
     _draw(above, value, size, looks)
-    finish(above, "", "largest distance of a bead from\nthe center at the turn's start [m]")
+    above.ticklabel_format(axis="y", useOffset=False)
+    finish(above, "", "largest distance of a bead from\nthe centre at the turn's start [m]")
     _moduli(below, followed)
-    decided = np.array([getattr(vertex, "deciding_modulus", 1.0) for vertex, _ in vertices])
-    _draw(below, value, decided, looks)
+    modulus = _largest_moduli(followed, vertices)
+    _draw(below, value, modulus, looks)
     finish(below, label or followed.parameter, "modulus of the multipliers |ρ| [-]")
     for i, kind in enumerate(SPECIAL_KINDS):
         here = [k for k, (v, special) in enumerate(vertices) if special and v.kind == kind]
-        for axes, ordinate in ((above, size), (below, np.ones(len(vertices)))):
+        crossing = kind not in ("first slack", "fold")
+        for axes, ordinate in ((above, size), (below, np.ones_like(size) if crossing else modulus)):
             axes.plot(
                 value[here], ordinate[here], linestyle="", marker=MARKERS[i], markersize=7,
                 markerfacecolor="white", markeredgecolor=INK, markeredgewidth=1.4, zorder=4,
@@ -87,6 +90,26 @@ def _looks(followed, vertices):
     return looks
 
 
+def _largest_moduli(followed, vertices):
+    """Largest modulus of what a verdict is about, special points in between included.
+
+    A special point next to points with nothing outside the circle is where the first one leaves it.
+    """
+    moduli, number = [], -1
+    for vertex, special in vertices:
+        if not special:
+            number += 1
+            moduli.append(max(vertex.deciding_modulus, vertex.max_modulus_nontrivial))
+            continue
+        sides = followed.points[number : number + 2]
+        value = [max(p.deciding_modulus, p.max_modulus_nontrivial) for p in sides]
+        way = abs(sides[-1].parameter - sides[0].parameter)
+        share = min(abs(vertex.parameter - sides[0].parameter) / way, 1.0) if way else 0.5
+        leaves = any(point.outside == 0 for point in sides) and vertex.family
+        moduli.append(1.0 if leaves else value[0] + share * (value[-1] - value[0]))
+    return np.array(moduli)
+
+
 def _draw(axes, x, y, looks):
     """A curve whose parts have looks, equal neighbours in one stroke."""
     first = 0
@@ -106,10 +129,15 @@ def _moduli(axes, followed):
     moduli = np.abs([point.multiplier for point in followed.points])
     value = [point.parameter for point in followed.points]
     axes.plot(value, moduli, color="0.7", linewidth=0.7, zorder=1)
-    lowest, highest = float(np.nanmin(moduli)), float(np.nanmax(moduli))
+    shown = moduli[moduli >= SMALLEST]
+    lowest, highest = float(np.min(shown)), float(np.max(shown))
     if highest > 2.0:
         axes.set_yscale("log")
-    axes.set_ylim(max(0.97 * lowest, SMALLEST), min(max(1.03 * highest, 1.05), LARGEST))
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    lowest, highest = min(lowest, 0.99), min(max(highest, 1.01), LARGEST)
+    axes.set_ylim(lowest / (highest / lowest) ** 0.05, highest * (highest / lowest) ** 0.05)
 
 
 def _handles(followed, looks):

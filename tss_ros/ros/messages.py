@@ -72,8 +72,6 @@ def system_description(
     reference_radius_m : ndarray, shape (n,)
         Undisturbed initial distances [m], the zero of Eq. (53).
     options : dict
-        The simulator's parameters; at least `scenario`, `disturbance_m`, `disturbance_seed` and
-        `publish_period_s`.
     run, first_step, time_ns : int
         Number of the run, its first step and the simulation time [ns] of that.
     frame_id : str
@@ -144,9 +142,6 @@ def simulation_event(
     frame_id : str
         Name of the orbit frame.
 
-    Returns
-    -------
-    SimulationEvent
     """
     header = Header(stamp=stamp(time_ns), frame_id=frame_id)
     return SimulationEvent(header=header, step=step, run=run, kind=kind, text=text)

@@ -3,7 +3,6 @@
 import array
 import math
 
-import numpy as np
 from tss_interfaces.msg import (
     Confirmation,
     CriticalRate,
@@ -81,24 +80,18 @@ def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:
 
 def family_point(point: core.FamilyPoint) -> FamilyPoint:
     """A core FamilyPoint as a message; fields have the same names."""
-    return _same_fields(FamilyPoint, point, **_motion(point))
+    return _of_family(FamilyPoint, point, doubles)
 
 
 def special_point(point: core.SpecialPoint) -> SpecialPoint:
-    """A core SpecialPoint as a message; fields have the same names."""
-    return _same_fields(SpecialPoint, point, **_motion(point))
+    """A core SpecialPoint, likewise."""
+    return _of_family(SpecialPoint, point, float)
 
 
-def _motion(point):
-    """The fields of multipliers and state."""
-    real, imag = np.real(point.multiplier), np.imag(point.multiplier)
-    several = np.ndim(point.multiplier) > 0
-    return {
-        "multiplier_real": doubles(real) if several else float(real),
-        "multiplier_imag": doubles(imag) if several else float(imag),
-        "position_m": doubles(point.state.position_m),
-        "velocity_m_s": doubles(point.state.velocity_m_s),
-    }
+def _of_family(kind, point, number):
+    arrays = {n: doubles(getattr(point.state, n)) for n in ("position_m", "velocity_m_s")}
+    parts = {f"multiplier_{n}": number(getattr(point.multiplier, n)) for n in ("real", "imag")}
+    return _same_fields(kind, point, **arrays, **parts)
 
 
 def _same_fields(kind, value, **others):

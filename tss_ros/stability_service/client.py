@@ -124,21 +124,26 @@ def compute(
                 overrides=list(overrides),
                 **fields,
             )
-            answer = client.call_async(request)
-            seen = time.monotonic()
-            while not answer.done():
-                wait()
-                if client.service_is_ready():
-                    seen = time.monotonic()
-                if time.monotonic() - seen > GONE_S and not answer.done():
-                    raise TssError(f"the node of {client.service_name} ended before it answered")
-            if not answer.result().success:
-                raise TssError(answer.result().message)
-            results += answer.result().results
+            results += _answer(client, request, wait)
         return results
     finally:
         executor.shutdown()
         node.destroy_client(client)
+
+
+def _answer(client, request, wait):
+    """The results that a request brings; a TssError if it is refused or the node ends."""
+    answer = client.call_async(request)
+    seen = time.monotonic()
+    while not answer.done():
+        wait()
+        if client.service_is_ready():
+            seen = time.monotonic()
+        if time.monotonic() - seen > GONE_S and not answer.done():
+            raise TssError(f"the node of {client.service_name} ended before it answered")
+    if not answer.result().success:
+        raise TssError(answer.result().message)
+    return answer.result().results
 
 
 def flat(result: FloquetResult) -> dict[str, Any]:

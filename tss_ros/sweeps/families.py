@@ -114,12 +114,10 @@ def start_from(path: str | Path, parameter: str, value: float) -> State:
 
 def _read(path):
     try:
-        table = pa.parquet.read_table(path)
-    except OSError as error:
-        reason = error.strerror or str(error).splitlines()[0]
-        raise TssError(f"family {str(path)!r} cannot be read: {reason}") from None
-    except pa.ArrowException as error:
-        reason = str(error).splitlines()[0]
+        with Path(path).open("rb") as file:
+            table = pa.parquet.read_table(file)
+    except (OSError, pa.ArrowException) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise TssError(f"family {str(path)!r} cannot be read: {reason}") from None
     told = (table.schema.metadata or {}).get(_KEY)
     if told is None:

@@ -1,7 +1,7 @@
 """Executable `follow`: a family of periodic motions, followed in the spin rate or a parameter."""
 
 import argparse
-import itertools
+import contextlib
 import math
 import signal
 import sys
@@ -32,15 +32,14 @@ def table(family: Family) -> str:
     -------
     str
     """
-    rows, special = [], list(family.special)
-    numbered = enumerate(family.points)
-    for _, part in itertools.groupby(numbered, key=lambda entry: _kind(entry[1])):
-        part = list(part)
-        (_, first), (number, last) = part[0], part[-1]
-        points = [point for _, point in part]
-        rows.append(_part(first, last, points))
-        rows += [_special(point) for point in special if point.after <= number]
-        special = [point for point in special if point.after > number]
+    rows, first = [], 0
+    points, ends = family.points, {point.after for point in family.special}
+    for number, point in enumerate(points):
+        last = number + 1 == len(points)
+        if last or number in ends or _kind(points[number + 1]) != _kind(point):
+            rows.append(_part(points[first : number + 1]))
+            rows += [_special(found) for found in family.special if found.after == number]
+            first = number + 1
     return "\n".join(rows)
 
 
@@ -48,14 +47,14 @@ def _kind(point):
     return point.verdict, point.slack, point.deciding_family, point.outside
 
 
-def _part(first, last, points):
+def _part(points):
+    first, last = points[0], points[-1]
     decided = [point.deciding_modulus for point in points]
-    low, high = min(decided), max(decided)
-    outside = f"  {first.outside} outside" if first.outside else ""
+    outside = f", {first.outside} outside" if first.outside else ""
     return (
         f"  {first.parameter:11.6g} to {last.parameter:11.6g}  {first.verdict:22}"
-        f"  {'slack' if first.slack else 'taut':5}  |rho| {low:.6f} to {high:.6f}"
-        f"  {first.deciding_family}{outside}"
+        f"  {'slack' if first.slack else 'taut':5}"
+        f"  |rho| {min(decided):.6g} to {max(decided):.6g}, {first.deciding_family}{outside}"
     )
 
 
@@ -200,7 +199,8 @@ def _parse(arguments):
         "--output", type=Path, metavar="FILE", help="write the points and states (.parquet)"
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw them (png, pdf, ...)")
-    options = parser.parse_args(arguments)
+    # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
+    options = parser.parse_args([f" {a}" if _is_negative(a) else a for a in arguments])
     if options.rate is not None and options.parameter == SPIN_RATE_RATIO:
         parser.error(f"--rate needs another --parameter than {SPIN_RATE_RATIO}")
     if options.points < 1:
@@ -208,6 +208,12 @@ def _parse(arguments):
     if options.output and options.output.suffix != ".parquet":
         parser.error(f"--output is {str(options.output)!r}; allowed: a file that ends in .parquet")
     return options
+
+
+def _is_negative(text):
+    with contextlib.suppress(ValueError):
+        return text.startswith("-") and math.isfinite(float(text))
+    return False
 
 
 def _override(text):

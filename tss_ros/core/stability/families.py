@@ -148,17 +148,28 @@ class OwnFamily:
             front = self._slower if abs(ratio) <= abs(start) else self._faster
             a, b = front.around(ratio)
             guess = _between(a, b, ratio)
-            solution = solve(self._equations, guess, a.linear)
-            apart = np.linalg.norm(solution.y[:-3] - guess[:-3])
-            near = 1e-3 + 0.5 * np.linalg.norm(a.solution.y[:-3] - b.solution.y[:-3])
-            if not (solution.residual <= CLOSED and apart <= near):
-                raise Ended(
-                    f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}"
-                )
+            solution = self._between(a, b, guess)
             origin = f"the formation's own family, followed from {start:g}"
             if folds := front.folds_before(ratio):
                 origin += f" and round folds at {', '.join(f'{fold:.5g}' for fold in folds)}"
             return closed(self._equations, solution, origin)
+
+    def _between(self, a, b, guess):
+        """Solve at a rate between two points, next to a guess or else to one of them."""
+        near = 1e-3 + 0.5 * np.linalg.norm(a.solution.y[:-3] - b.solution.y[:-3])
+        for start, linear in (
+            (guess, a.linear), (a.solution.y, a.linear), (b.solution.y, b.linear)
+        ):  # fmt: skip
+            y = np.append(start[:-1], guess[-1])
+            try:
+                solution = solve(self._equations, y, linear)
+            except IntegrationError:
+                continue
+            if solution.residual <= CLOSED and np.linalg.norm((solution.y - y)[:-3]) <= near:
+                return solution
+        raise Ended(
+            f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}"
+        )
 
     def _begin(self, cancelled):
         """Find the motion from which the family is followed both ways."""

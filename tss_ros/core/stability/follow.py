@@ -18,6 +18,7 @@ from tss_ros.core.model.parameters import PARAMETERS, with_parameter
 from tss_ros.core.model.symmetry import cyclic_symmetry
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.stability import continuation, families
+from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
@@ -25,7 +26,9 @@ from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
 SPIN_RATE_RATIO = "spin_rate_ratio"
 #: Largest step, and distance to which special points are located, over the parameter.
-LONGEST_STEP, TOLERANCE = 0.04, 1e-7
+LONGEST_STEP, TOLERANCE = 0.02, 1e-7
+#: Least uncertainty of a special point, over the parameter: motions close to about that.
+ROUNDING = 1e-9
 #: Imaginary part, over the modulus, of multipliers that count as real.
 REAL = 1e-6
 
@@ -96,10 +99,8 @@ def _systems(system, parameter, spin_rate_ratio):
                            f" got {spin_rate_ratio:g}")  # fmt: skip
         return lambda value: (system, system.spin_rate_rad_s(value))
     if parameter not in PARAMETERS:
-        raise TssError(
-            f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
-            f" got {parameter!r}"
-        )
+        raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
+                       f" got {parameter!r}")  # fmt: skip
     if spin_rate_ratio is None:
         raise TssError(f"spin_rate_ratio must be given to follow {parameter}")
 
@@ -115,7 +116,7 @@ class _Run:
 
     def __init__(self, at, parameter, start, stop, state, longest_step, cancelled):
         self.at, self.parameter, self.start, self.stop = at, parameter, start, stop
-        self.sense = math.copysign(1.0, stop - start)
+        self.sense, self.cancelled = math.copysign(1.0, stop - start), cancelled
         system, spin = at(start)
         ratio = spin / system.orbit_rate_rad_s
         motion = self._first(system, ratio, state, cancelled)
@@ -125,6 +126,8 @@ class _Run:
             self._symmetry(system, motion, ratio, cancelled), families.RTOL, cancelled, scale,
         )  # fmt: skip
         y = self.equations.vector(motion.state, start, motion.spin_loss)
+        if state is not None and (why := look(self.equations.integrator(y), motion.state).refusal):
+            raise TssError(f"no motion to follow was found from the given state: {why}")
         first = continuation.begin(self.equations, y, self.sense, True)
         self.curve = Curve(self.equations, first, True, longest_step)
         self.points, self.special = [], []
@@ -174,7 +177,7 @@ class _Run:
                     break
                 value = after.point.parameter
                 if (value - self.stop) * self.sense >= 0.0:
-                    self._keep(self._last(after))
+                    self._keep(self._last(before, after))
                     break
                 self._keep(after)
                 if progress is not None:
@@ -201,13 +204,17 @@ class _Run:
             point, spectrum(integrator, state, None, matrix, point.solution.residual, float(y[-3]))
         )
 
-    def _last(self, beyond):
+    def _last(self, before, beyond):
         """The motion at the end that was asked for, next to one beyond it."""
-        y = np.array(beyond.point.solution.y)
+        last, _ = continuation.bisected(
+            self.curve, before.point, beyond.point,
+            lambda point: (point.parameter - self.stop) * self.sense < 0.0, TOLERANCE,
+        )  # fmt: skip
+        y = np.array(last.solution.y)
         y[-1] = self.stop
-        solution = solve(self.equations, y, beyond.point.linear)
+        solution = solve(self.equations, y, last.linear)
         if not solution.residual <= CLOSED:
-            return beyond
+            return self._seen(last)
         linear = self.equations.linearise(solution.y, True)
         return self._seen(Point(solution, linear, beyond.point.tangent))
 
@@ -268,9 +275,10 @@ class _Run:
             kind, multiplier, family = _leaving(outer.spectrum, outer.outside)
         y = last.solution.y
         middle = 0.5 * (last.parameter + first.parameter)
+        rounding = ROUNDING * self.equations.unit(y)
         system, spin = self.at(middle)
         return SpecialPoint(
-            kind, middle, 0.5 * abs(last.parameter - first.parameter),
+            kind, middle, max(0.5 * abs(last.parameter - first.parameter), rounding),
             spin / system.orbit_rate_rad_s, multiplier, family, len(self.points) - 1,
             self.equations.state(y),
         )  # fmt: skip

@@ -15,6 +15,7 @@ from tss_ros.core.model.system import State, System
 from tss_ros.core.stability.confirmation import Confirmation, confirm
 from tss_ros.core.stability.critical_rates import CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.follow import LONGEST_STEP, Family, follow
 from tss_ros.core.stability.result import FloquetResult
 
 #: Jobs under way and ready for every worker, so that none has to wait for the next.
@@ -59,6 +60,28 @@ class CriticalRatesJob:
 
 
 @dataclass(frozen=True)
+class FamilyJob:
+    """A job of a sweep: a family of motions of one system; canceled, as far as it was followed."""
+
+    system: System
+    parameter: str
+    start: float
+    stop: float
+    spin_rate_ratio: float | None = None
+    state: State | None = None
+    longest_step: float = LONGEST_STEP
+    most_points: int = 2000
+
+    def run(self, cancelled: Callable[[], bool] | None = None) -> Family:
+        """`follow` of this job."""
+        return follow(
+            self.system, self.parameter, self.start, self.stop,
+            spin_rate_ratio=self.spin_rate_ratio, state=self.state,
+            longest_step=self.longest_step, most_points=self.most_points, cancelled=cancelled,
+        )
+
+
+@dataclass(frozen=True)
 class ConfirmationJob:
     """A job of a sweep: a verdict beside what a disturbed simulation does."""
 
@@ -95,7 +118,7 @@ def sweep(
 
     Parameters
     ----------
-    jobs : iterable of FloquetJob, CriticalRatesJob or ConfirmationJob
+    jobs : iterable of FloquetJob, CriticalRatesJob, FamilyJob or ConfirmationJob
         Anything with ``run(cancelled)``; taken as they are needed, so that there may be millions.
     workers : int, optional
         Jobs at a time; as many as there are cores if not given.
