@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tss_ros.ros.network import PROFILES, RANGE
+from tss_ros.ros.network import PROFILE, PROFILES, RANGE
 
 #: Beginning of 127.0.0.1 and a port in /proc/net/udp.
 LOOPBACK = "0100007F:"
@@ -58,10 +58,18 @@ def other_address():
         return probe.getsockname()[0]
 
 
-@pytest.mark.parametrize("executable", ["sim_node", "logger_node", "stability_node"])
-def test_nodes_listen_on_loopback_only(start, executable):
+@pytest.mark.parametrize(
+    ("executable", "given"),
+    [
+        ("sim_node", {}),
+        ("logger_node", {}),
+        ("stability_node", {}),
+        ("sim_node", {RANGE: "LOCALHOST", PROFILES: str(PROFILE)}),  # the profile is inherited
+    ],
+)
+def test_nodes_listen_on_loopback_only(start, executable, given):
     ready = {"sim_node": "one turn", "logger_node": "recording", "stability_node": "ready for"}
-    process = start(executable, options=reach())
+    process = start(executable, options=reach(**given))
     process.wait_for_line(ready[executable])
     addresses = udp_addresses(process.pid)
     assert len(addresses) >= 3

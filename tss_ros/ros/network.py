@@ -16,7 +16,7 @@ from tss_ros.core import TssError
 
 #: Fast DDS for this machine only. rmw_fastrtps itself binds to all interfaces for LOCALHOST,
 #: whatever a profile says; for SYSTEM_DEFAULT it leaves everything to the profile.
-PROFILE = Path(__file__).with_name("loopback.xml")
+PROFILE = Path(__file__).resolve().with_name("loopback.xml")
 RANGE, PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 #: Beginnings of the addresses of this machine in /proc/net/udp and /proc/net/udp6.
 _LOOPBACK = ("0100007F", f"{0:024X}01000000")
@@ -31,12 +31,13 @@ def stay_on_this_machine() -> None:
     """
     os.environ[RANGE] = os.environ.get(RANGE) or "LOCALHOST"
     wanted = os.environ[RANGE] == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
-    if wanted and not os.environ.get(PROFILES):
+    own = os.environ.get(PROFILES) == str(PROFILE)  # inherited from a process that stayed here
+    if wanted and (own or not os.environ.get(PROFILES)):
         if get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
             os.environ[PROFILES] = str(PROFILE)
             os.environ[RANGE] = "SYSTEM_DEFAULT"
-    elif os.environ[RANGE] != "SYSTEM_DEFAULT" and os.environ.get(PROFILES) == str(PROFILE):
-        del os.environ[PROFILES]  # inherited from a process that stayed on this machine
+    elif os.environ[RANGE] != "SYSTEM_DEFAULT" and own:
+        del os.environ[PROFILES]
 
 
 @contextlib.contextmanager
