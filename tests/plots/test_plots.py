@@ -172,7 +172,8 @@ def test_a_mode_is_drawn_from_turn_to_turn_as_its_multiplier_says():
 
 def test_a_family_is_drawn_by_stability_and_slackness_with_its_special_points():
     followed = core.follow(core.ring(), "spin_rate_ratio", -2.2, -2.14)
-    (special,) = followed.special
+    special, spin = followed.special
+    assert (special.kind, spin.kind) == ("first slack", "spin divergence")
     figure = plots.family(followed, "rate [-]", "kelvin_voigt")
     above, below = figure.axes
     assert below.get_xlabel() == "rate [-]" and "[m]" in above.get_ylabel()
