@@ -85,12 +85,16 @@ def test_python_of_the_front_page_runs():
     assert names["position_m"].shape == (3, 3, 3)
 
 
-@pytest.mark.parametrize("page", ["tutorial.md", "howto/scenario.md"])
-def test_python_of_the_pages_runs(page):
+@pytest.mark.parametrize(
+    ("page", "verdict"),
+    # Nothing damps the bending of a straight chain out of the orbit plane.
+    [("tutorial.md", "asymptotically stable"), ("howto/scenario.md", "neutral")],
+)
+def test_python_of_the_pages_runs(page, verdict):
     names = {}
     for code in re.findall(r"```python\n(.*?)```", (DOCS / page).read_text("utf-8"), re.S):
         exec(code, names)
-    assert names["result"].verdict == "asymptotically stable"
+    assert names["result"].verdict == verdict
 
 
 # ---------------------------------------------------------------- links and places

@@ -1,16 +1,10 @@
 """What is known of a family of periodic motions: its points, and where something happens."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tss_ros.core.model.system import State
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
 #: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go
@@ -105,12 +99,6 @@ class Family:
     ended: str
 
     def columns(self) -> dict[str, list]:
-        """The points as columns of a table, arrays left out."""
+        """The points as columns of a table, e.g. for pandas.DataFrame, arrays left out."""
         names = [n for n in FamilyPoint.__dataclass_fields__ if n not in ("multiplier", "state")]
         return {name: [getattr(point, name) for point in self.points] for name in names}
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The points as a table, arrays left out."""
-        import pandas as pd
-
-        return pd.DataFrame(self.columns())
