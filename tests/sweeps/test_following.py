@@ -102,9 +102,10 @@ def test_a_family_is_shown_saved_drawn_and_gone_on_with(tmp_path):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("three_star, spin_rate_ratio from -2.3 to -2.14, kelvin_voigt, ")
-    assert "asymptotically stable" in lines[1] and " taut " in lines[1] and " slack " in lines[3]
-    (special,) = families.load(file).special
+    assert "asymptotically stable" in lines[1] and " taut " in lines[1] and " slack " in lines[4]
+    special, spin = families.load(file).special
     assert f"first slack at {special.parameter:.9g} +- " in lines[2]
+    assert f"spin divergence at {spin.parameter:.9g} +- " in lines[3]
     edge = brentq(tension, -2.4, -1.9, args=(1450.0,))
     assert special.kind == "first slack" and special.parameter == pytest.approx(edge, abs=1e-3)
     about = families.load_about(file)
