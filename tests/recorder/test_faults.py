@@ -123,7 +123,7 @@ def test_a_disk_that_is_filled_at_once_is_told_once_and_truly(start, tmp_path, l
         simulator = start("sim_node", time_scale=100, wait_for_recorder=True)
         file = disk / "bag" / "bag_0.mcap"
         ros_harness.wait_until(
-            lambda: file.exists() and file.stat().st_size > 50_000, ros_harness.START_S, "steps"
+            lambda: file.exists() and file.stat().st_size > 150_000, ros_harness.START_S, "steps"
         )
         with contextlib.suppress(OSError), (disk / "filler").open("wb", buffering=0) as filler:
             while filler.write(bytes(4096)):

@@ -137,7 +137,7 @@ def test_silence_is_told_on_both_sides(start):
     logger = start("logger_node", output="bag")
     simulator = start("sim_node", time_scale=100, wait_for_recorder=True)
     bag = logger.directory / "bag"
-    ros_harness.wait_until(recorded_so_far(bag, 50_000), ros_harness.START_S, "a recording")
+    ros_harness.wait_until(recorded_so_far(bag, 150_000), ros_harness.START_S, "a recording")
     simulator.send(signal.SIGSTOP)
     says = "though these have a publisher: /system_description, /bead_states"
     ros_harness.wait_until(lambda: says in logger.stderr, SAID_S, says)
@@ -176,7 +176,7 @@ def test_a_recorder_that_turns_deaf_says_so_and_ends_complete(start, tmp_path):
     own = set(shared_memory_of(logger.pid)) - before
     simulator = start("sim_node", time_scale=100, wait_for_recorder=True)
     bag = tmp_path / "bag"
-    ros_harness.wait_until(recorded_so_far(bag, 50_000), ros_harness.START_S, "a recording")
+    ros_harness.wait_until(recorded_so_far(bag, 150_000), ros_harness.START_S, "a recording")
     files = shared_memory_of(logger.pid)
     for port in own:
         os.unlink(files[port])
