@@ -14,7 +14,7 @@ from scipy.integrate import odeint
 from tss_ros.core import Cancelled, System, disturbed, initial_state
 from tss_ros.core.model.forces import acceleration, stretch, tensions
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.numerics.simd import allocating
+from tss_ros.core.numerics.simd import python_allocating
 from tss_ros.reproduction.claims import DISTURBANCE_M, LOST, SEED, bisect, system
 
 TURNS, SAMPLES_PER_TURN = 8, 50
@@ -78,7 +78,7 @@ def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[
     return float(np.max(np.abs(distance_m / distance_m[0] - 1)))
 
 
-@allocating
+@python_allocating
 def _derivative(arrays, state):
     """Eq. (30): velocities and positions of all beads, in this order, to their derivatives."""
     n, m = arrays.inv_mass.size, arrays.rest.size
