@@ -26,8 +26,8 @@ LOST = 0.2
 #: It is lost as well when it turns by so much of a turn less or more than it should in a turn, or
 #: a tether shrinks to this share of its rest length.
 ASTRAY, COLLAPSED = 0.25, 0.5
-#: How often a multiplier's distance from 1 a drift in proportion to time may be.
-DRIFT = 2.0
+#: How much of a small disturbance may drift in proportion to time, over what grows of it.
+DRIFT = 20.0
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,10 @@ class Confirmation:
             return True
         if result.verdict == "none found":
             return True if math.isinf(self.turns_to_settle) else None
-        if self.turns[-1] < turns_that_tell(result) or math.isnan(self.growth_per_turn):
-            return None
-        return self.growth_per_turn > result.deciding_modulus**0.5
+        if self.growth_per_turn > result.deciding_modulus**0.5:
+            return True
+        told = self.turns[-1] >= turns_that_tell(result)
+        return False if told and not math.isnan(self.growth_per_turn) else None
 
 
 def turns_that_tell(result: FloquetResult) -> int:
@@ -121,7 +122,10 @@ def turns_that_tell(result: FloquetResult) -> int:
     """
     if result.verdict != "unstable":
         return 1
-    return math.ceil(DRIFT / max(result.deciding_modulus - 1.0, 1e-9))
+    growth, turns = math.log(max(result.deciding_modulus, 1.0 + 1e-6)), 1
+    while growth * turns < math.log(DRIFT * turns):
+        turns += max(1, turns // 50)
+    return turns
 
 
 def confirm(
