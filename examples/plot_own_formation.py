@@ -121,12 +121,13 @@ print(f"diagonal {tension_n[4]:.4f} N, rigid {diagonal_n:.4f} N")
 #
 # "neutral" means stable, with a shape whose oscillation does not decay. Two triangles that share a
 # tether can fold along it, and to first order no tether is stretched by that. With the masses
-# exchanged the diagonal hangs slack, the light satellites meet, and what remains is unstable.
+# exchanged the diagonal hangs slack and the light satellites meet: no motion of a rhombus is left,
+# and the message says so.
 
 result = compute_floquet(system, SPIN_RATE_RATIO)
 exchanged = compute_floquet(rhombus(LIGHT_KG, HEAVY_KG), SPIN_RATE_RATIO)
 for name, outcome in (("heavy on the diagonal", result), ("heavy at the tips", exchanged)):
-    print(f"{name}: {outcome.verdict}, largest |rho| {outcome.max_modulus:.3f}")
+    print(f"{name}: {outcome.verdict}; {outcome.message}")
 
 critical = find_critical_rates(system, -3.0, -1.8)
 for found in critical:

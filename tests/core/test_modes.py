@@ -68,7 +68,7 @@ def test_out_of_plane_waves_of_a_ring_under_mean_tension(n):
     assert found == expected
 
 
-@pytest.mark.parametrize("w", [-4.5, -6.0, 4.5])
+@pytest.mark.parametrize("w", [-4.5, -6.0])
 def test_multipliers_tell_the_frequency_of_their_mode(w):
     """The gravity gradient changes them by its share of the tension, 3 / (2 kappa^2)."""
     for n in (5, 6):

@@ -80,13 +80,18 @@ def _vertices(followed):
 
 def _looks(followed, vertices):
     """Verdict and slackness of the part between each two neighbours of `vertices`."""
-    looks, number = [], -1
-    for (_, special), (_, then_special) in itertools.pairwise(vertices):
-        number += not special
-        of = followed.points[number]
-        if special and not then_special:  # the last part before a point is like that point
-            of = followed.points[number + 1]
-        looks.append((of.verdict if of.verdict in LINES else None, of.slack))
+    looks, number, slack = [], -1, False
+    for (vertex, special), (_, then_special) in itertools.pairwise(vertices):
+        if not special:
+            number += 1
+            verdict, slack = vertex.verdict, vertex.slack
+        elif number + 1 < len(followed.points):
+            after = followed.points[number + 1]
+            if vertex.kind == "first slack":
+                slack = after.slack
+            if vertex.kind != "first slack" or not then_special:
+                verdict = after.verdict
+        looks.append((verdict if verdict in LINES else None, slack))
     return looks
 
 

@@ -155,16 +155,9 @@ def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     balance = _AveragedBalance(system, spin)
-    place = balance.start()
-    for _ in range(MOST_MODE_CHANGES):
-        begun = place
-        place, force = balance.newton(begun)
-        if np.max(np.abs(force)) > BALANCED * balance.scale:
-            place, force = balance.newton(balance.settled(begun))
-        stretched = forces.acting_tethers(system, place, balance.still)
-        if np.array_equal(stretched, balance.taut):
-            break
-        balance.taut = stretched
+    place, force = balance.balanced(start := balance.start())
+    if np.max(np.abs(force)) > BALANCED * balance.scale:
+        place, force = balance.balanced(balance.settled(start))
     left = np.max(np.abs(force), axis=1)
     worst = int(np.argmax(left))
     if not left[worst] < balance.scale * (BALANCED + balance.rounding):
@@ -232,6 +225,17 @@ class _AveragedBalance:
         step = -force / self.mass[:, None]
         block_lu.solve(self.symbolic, self.by_r, step)
         return step
+
+    def balanced(self, place):
+        """Places where forces balance with the tethers that are taut there, and the force left."""
+        self.taut[:] = True
+        for _ in range(MOST_MODE_CHANGES):
+            place, force = self.newton(place)
+            stretched = forces.acting_tethers(self.system, place, self.still)
+            if np.array_equal(stretched, self.taut):
+                break
+            self.taut = stretched
+        return place, force
 
     def settled(self, place):
         """Places to which beads settle in a thick fluid: near a balance that is stable.
