@@ -1,13 +1,13 @@
 # Everything this makes stays in the checkout: .venv, build, install, log, runs and docs/_build.
 # PYTHON=python3.12 chooses the Python of a new .venv; PYTEST="-k demo -x" goes to pytest,
 # BENCHMARKS="--only motion --cases A1" to the benchmarks.
-.PHONY: help setup demo reproduce test benchmarks docs lock clean
+.PHONY: help setup demo reproduce test test-all benchmarks docs lock clean
 export PYTHON
 
 help:
 	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
 	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
-	@echo 'make test    run every test'
+	@echo 'make test    run every test but the long ones, which make test-all runs, too'
 	@echo 'make benchmarks  measure against public solvers; results in runs/benchmarks/'
 	@echo 'make docs    build the documentation; open docs/_build/html/index.html'
 	@echo 'make setup   only make the workspace; then `. ./activate` puts it into a shell'
@@ -24,6 +24,9 @@ reproduce: setup
 	@. ./activate && exec ros2 run tss_ros reproduce
 
 test: setup
+	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not long" $(PYTEST)
+
+test-all: setup
 	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile $(PYTEST)
 
 benchmarks: setup

@@ -13,6 +13,8 @@ from scipy.integrate import solve_ivp
 from tss_ros.core import formation
 from tss_ros.core.stability.follow import follow
 
+pytestmark = pytest.mark.long
+
 MU, EARTH, ALTITUDE = 3.986e14, 6378e3, 1e6
 RADIUS = EARTH + ALTITUDE
 OMEGA = math.sqrt(MU / RADIUS**3)
