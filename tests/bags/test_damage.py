@@ -27,12 +27,7 @@ STEPS = 900
 def whole(tmp_path_factory):
     """A bag of a dozen chunks, and what it holds."""
     bag = Bag(tmp_path_factory.mktemp("whole") / "bag")
-    bag.describe()
-    for number in range(STEPS):
-        bag.step(number)
-        if number % 75 == 74:
-            bag.writer.flush()
-    bag.writer.close()
+    bag.fill(STEPS, 75)
     return bag.writer.directory, read_bag(bag.writer.directory)
 
 
@@ -181,12 +176,7 @@ def test_metadata_that_does_not_fit_is_found_and_made_anew(whole, tmp_path, caps
 def test_a_file_that_is_gone_is_missed(tmp_path):
     bag = Bag(tmp_path / "bag")
     bag.writer._split_bytes = 1
-    bag.describe()
-    for number in range(40):
-        bag.step(number)
-        if number % 10 == 9:
-            bag.writer.flush()
-    bag.writer.close()
+    bag.fill(40, 10)
     directory = bag.writer.directory
     assert len(list(directory.glob("*.mcap"))) == 5 and verify(directory).is_sound
     assert read_bag(directory).runs == 1

@@ -40,10 +40,7 @@ STEPS = 120
 def ours(tmp_path_factory):
     """A bag, its messages, and what it holds."""
     bag = Bag(tmp_path_factory.mktemp("ours") / "bag")
-    bag.describe()
-    for number in range(STEPS):
-        bag.step(number)
-    bag.writer.close()
+    bag.fill(STEPS)
     return bag.writer.directory, foreign_bags.content(bag.writer.path), read_bag(bag.writer.path)
 
 

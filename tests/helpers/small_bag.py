@@ -35,6 +35,15 @@ class Bag:
             if name in self.topics
         }
 
+    def fill(self, steps, chunk=0):
+        """Describe the pair and write so many steps of it, the writer flushed after each chunk."""
+        self.describe()
+        for number in range(steps):
+            self.step(number)
+            if chunk and number % chunk == chunk - 1:
+                self.writer.flush()
+        self.writer.close()
+
     def definition(self, topic):
         return topic.definition
 

@@ -10,6 +10,7 @@ from paper import tension
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rclpy.action import ActionClient
 from rclpy.qos import QoSProfile
+from released_pair import SCENARIO
 from scipy.optimize import brentq
 from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.msg import SpecialPoint
@@ -18,14 +19,6 @@ from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
 from tss_ros.core import compute_floquet, follow
 from tss_ros.scenarios import scenario
 
-OWN_VELOCITIES = """
-spin_rate_ratio: -3.0
-bodies:
-  - {name: a, mass_kg: 100.0, position_m: [0.0, 500.0, 0.0], velocity_m_s: [1.6212, 0.0, 0.0]}
-  - {name: b, mass_kg: 100.0, position_m: [0.0, -500.0, 0.0], velocity_m_s: [-1.6212, 0.0, 0.0]}
-tethers:
-  - {between: [a, b], length_m: 1000.0, axial_stiffness_n: 50000.0, damping_n_s_per_m: 500.0}
-"""
 TO_FIRST_SLACK = {"start": -2.2, "stop": -2.14}
 
 
@@ -66,7 +59,7 @@ class Client:
 @pytest.fixture(scope="module")
 def clients(tmp_path_factory):
     directory = tmp_path_factory.mktemp("follow")
-    (directory / "own.yaml").write_text(OWN_VELOCITIES)
+    (directory / "own.yaml").write_text(SCENARIO)
     with (
         ros_harness.processes(directory) as start,
         ros_harness.client_node() as (node, spin_until),

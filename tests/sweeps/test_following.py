@@ -16,6 +16,7 @@ import pyarrow.parquet
 import pytest
 from paper import tension
 from PIL import Image
+from released_pair import SCENARIO
 from scipy.optimize import brentq
 
 from tss_ros.core import FamilyJob, TssError, follow, ring, sweep
@@ -25,15 +26,6 @@ FOLLOW = [
     sys.executable, "-c",
     "import sys; from tss_ros.sweeps.following import main; sys.exit(main())",
 ]  # fmt: skip
-SCENARIO = """
-description: two satellites released with velocities of their own
-spin_rate_ratio: -3.0
-bodies:
-  - {name: a, mass_kg: 100.0, position_m: [0.0, 500.0, 0.0], velocity_m_s: [1.6212, 0.0, 0.0]}
-  - {name: b, mass_kg: 100.0, position_m: [0.0, -500.0, 0.0], velocity_m_s: [-1.6212, 0.0, 0.0]}
-tethers:
-  - {between: [a, b], length_m: 1000.0, axial_stiffness_n: 50000.0, damping_n_s_per_m: 500.0}
-"""
 
 
 def run(*arguments):

@@ -165,6 +165,10 @@ def flat(result: FloquetResult) -> dict[str, Any]:
     return cells
 
 
+def _shown(text):
+    return "-" if text in ("", "nan", "nan%") else text
+
+
 def format_table(
     results: Sequence[FloquetResult], columns: Sequence[tuple[str, str]] = TABLE
 ) -> str:
@@ -182,7 +186,7 @@ def format_table(
     """
     rows = [[heading for heading, _ in columns]]
     cells = [flat(result) for result in results]
-    rows += [[cell.format_map(row) or "-" for _, cell in columns] for row in cells]
+    rows += [[_shown(cell.format_map(row)) for _, cell in columns] for row in cells]
     widths = [max(map(len, column)) for column in zip(*rows)]
     left = {"decided by", "verdict", "tether law", "message"}
     return "\n".join(

@@ -74,17 +74,30 @@ def look(integrator: Integrator, start: State) -> Look:
 
 def _turned(system: System, r: np.ndarray, spin: float) -> str:
     """Why positions (k, n, 3) do not turn once in the sense of the spin."""
-    arm = r - np.average(r, axis=1, weights=system.mass_kg)[:, None]
+    turns = turns_made(r - np.average(r, axis=1, weights=system.mass_kg)[:, None], spin)
+    for name, made in zip(system.bead_name, turns):
+        if not np.isnan(made) and round(made) != 1:
+            return (
+                f"it turns {name} {made:.2f} times about the centre of mass in the sense of the"
+                " spin, not once"
+            )
+    return ""
+
+
+def turns_made(arm: np.ndarray, spin: float) -> np.ndarray:
+    """Turns (n,) about z in the sense of the spin; NaN for beads that are near the centre.
+
+    Parameters
+    ----------
+    arm : ndarray, shape (k, n, 3)
+        [m] from the centre of mass, in the orbit frame, at least eight a turn.
+    spin : float
+        Of which the sign counts.
+    """
     distance = np.mean(np.hypot(arm[:, :, 0], arm[:, :, 1]), axis=0)
     angle = np.unwrap(np.arctan2(arm[:, :, 1], arm[:, :, 0]), axis=0)
     turns = (angle[-1] - angle[0]) / (2.0 * np.pi) * np.sign(spin)
-    for i in np.flatnonzero(distance > NEAR_CENTRE * np.max(distance)):
-        if round(turns[i]) != 1:
-            return (
-                f"it turns {system.bead_name[i]} {turns[i]:.2f} times about the centre of mass in"
-                " the sense of the spin, not once"
-            )
-    return ""
+    return np.where(distance > NEAR_CENTRE * np.max(distance), turns, np.nan)
 
 
 def _collapsed(system: System, length: np.ndarray) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections import OrderedDict
 from collections.abc import Callable
@@ -88,6 +89,12 @@ class ClosingEquations:
         self.kick, self.along = (half / math.sqrt(self.size / 6))[:, self.free]
         self._integrators = OrderedDict()
 
+    def copied(self, cancelled: Callable[[], bool] | None) -> ClosingEquations:
+        """The same equations for another thread, to be cancelled by its own."""
+        other = copy.copy(self)
+        other.cancelled, other._integrators = cancelled, OrderedDict()
+        return other
+
     def unit(self, y: np.ndarray) -> float:
         """By which changes of p at y are measured."""
         return self.scale or abs(float(y[-1]))
@@ -133,7 +140,7 @@ class ClosingEquations:
         return self.symmetry.back(integrator.arrays.spin < 0.0, x)
 
     def linearise(self, y: np.ndarray, whole: bool = False) -> Linearised:
-        """The equations and their derivatives there.
+        """Their derivatives there.
 
         Parameters
         ----------
@@ -163,17 +170,15 @@ class ClosingEquations:
         jacobian[:k, k + 1] = self.kick
         flow = flow_direction(integrator, state)[self.free]
         jacobian[k, :k], jacobian[k + 1, :k] = flow / np.linalg.norm(flow), self.along
-        return Linearised(left, jacobian, matrix if whole else None, motion.switches)
+        return Linearised(jacobian, matrix if whole else None, motion.switches)
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """The closing equations and their derivatives.
+    """The derivatives of the closing equations.
 
     Attributes
     ----------
-    left : ndarray, shape (k,)
-        What is left of them.
     jacobian : ndarray, shape (k + 2, k + 3)
         Of them and of the two conditions, by y.
     matrix : ndarray, shape (6n, 6n), or None
@@ -182,7 +187,6 @@ class Linearised:
         On the way.
     """
 
-    left: np.ndarray
     jacobian: np.ndarray
     matrix: np.ndarray | None
     switches: int

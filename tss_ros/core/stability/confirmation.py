@@ -13,6 +13,7 @@ from tss_ros.core.model.configurations import deviation, disturbed, initial_stat
 from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
+from tss_ros.core.stability.acceptance import COLLAPSED, turns_made
 from tss_ros.core.stability.result import FloquetResult
 
 #: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
@@ -23,9 +24,8 @@ STILL_CLOSED = 0.01
 SAMPLES = 200
 #: A formation is lost when a bead leaves its place by this share of the radius.
 LOST = 0.2
-#: It is lost as well when it turns by so much of a turn less or more than it should in a turn, or
-#: a tether shrinks to this share of its rest length.
-ASTRAY, COLLAPSED = 0.25, 0.5
+#: It is lost as well when it turns by so much of a turn less or more than it should in a turn.
+ASTRAY = 0.25
 #: How much of a small disturbance may drift in proportion to time, over what grows of it.
 DRIFT = 20.0
 
@@ -171,19 +171,19 @@ def confirm(
         state = initial_state(system, spin_rate_ratio)
     period = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
     times = np.linspace(0.0, turns * period, turns * SAMPLES + 1)
-    weight = system.mass_kg / np.sum(system.mass_kg)
 
     def run(start):
         motion = Propagator(system, spin_rate_ratio, start, rtol=1e-12)
         position, velocity = motion.sample(times, cancelled)
-        centre = np.einsum("i,kic->kc", weight, position)
+        centre = np.average(position, axis=1, weights=system.mass_kg)
         return position, position - centre[:, None], velocity, motion.switches
 
     undisturbed, calm, *_ = run(state)
     position, pushed, velocity, switches = run(disturbed(state, disturbance_m, seed))
     length, tension, taut = tether_state(system, position, velocity)
     shortest = float(np.min(length / system.rest_length_m))
-    turned = _turned(pushed, system.spin_rate_rad_s(spin_rate_ratio)) / turns
+    made = turns_made(pushed, spin_rate_ratio) / turns
+    turned = float(made[np.nanargmax(np.abs(made - 1.0))])
     radius = np.linalg.norm(state.position_m, axis=1)
     size = np.max(radius)
     beyond = radius > 1e-6 * size
@@ -208,16 +208,6 @@ def confirm(
         times / period,
         history,
     )
-
-
-def _turned(arm, spin):
-    """Turns in the sense of the spin of the bead that turns most wrongly, arms (k, n, 3)."""
-    distance = np.mean(np.hypot(arm[:, :, 0], arm[:, :, 1]), axis=0)
-    angle = np.unwrap(np.arctan2(arm[:, :, 1], arm[:, :, 0]), axis=0)
-    turns = (angle[-1] - angle[0]) * math.copysign(1.0, spin) / (2.0 * math.pi)
-    far = np.flatnonzero(distance > 0.1 * np.max(distance))
-    whole = round((len(arm) - 1) / SAMPLES)
-    return float(turns[far[np.argmax(np.abs(turns[far] - whole))]])
 
 
 def _growth(nudged, calm, mass):

@@ -1,6 +1,6 @@
 """Families of periodic motions, followed in a parameter by pseudo-arclength continuation.
 
-The curve of solutions of `shooting.ClosingEquations` is followed step by step: along its tangent,
+The curve of solutions of `closing.ClosingEquations` is followed step by step: along its tangent,
 and back to it by Newton's method across the tangent, so that it may turn round in the parameter
 (E. L. Allgower and K. Georg, Numerical Continuation Methods, 1990). Steps grow where corrections
 are few and shrink where they are not; they are measured over the parameter's unit.

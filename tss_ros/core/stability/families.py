@@ -25,6 +25,7 @@ from tss_ros.core.stability import continuation
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, Solution, solve
 from tss_ros.core.stability.continuation import Ended
+from tss_ros.core.stability.modes import stays_in_plane
 
 #: Rates over Omega at which a family may begin, tried in this order.
 FAST = (10.0, 7.0, 5.0, 15.0, 20.0, 4.0, 30.0, 3.0, 50.0, 100.0)
@@ -70,12 +71,6 @@ def no_symmetry(system: System) -> Symmetry:
     return Symmetry(1, np.arange(system.n))
 
 
-def planar(system: System, state: State) -> bool:
-    """Whether motions from a state stay in the orbit plane."""
-    flat = not (state.position_m[:, 2].any() or state.velocity_m_s[:, 2].any())
-    return bool(system.keeps_plane and flat)
-
-
 def rate_equations(
     system: System,
     state: State,
@@ -99,7 +94,7 @@ def rate_equations(
     """
     return ClosingEquations(
         lambda ratio: (system, system.spin_rate_rad_s(ratio)), size_of(system),
-        planar(system, state), symmetry or cyclic_symmetry(system), RTOL, cancelled,
+        stays_in_plane(system, state), symmetry or cyclic_symmetry(system), RTOL, cancelled,
     )
 
 
@@ -147,29 +142,13 @@ class OwnFamily:
             start = self._slower.start
             front = self._slower if abs(ratio) <= abs(start) else self._faster
             a, b = front.around(ratio)
-            guess = _between(a, b, ratio)
-            solution = self._between(a, b, guess)
-            origin = f"the formation's own family, followed from {start:g}"
-            if folds := front.folds_before(ratio):
-                origin += f" and round folds at {', '.join(f'{fold:.5g}' for fold in folds)}"
-            return closed(self._equations, solution, origin)
-
-    def _between(self, a, b, guess):
-        """Solve at a rate between two points, next to a guess or else to one of them."""
-        near = 1e-3 + 0.5 * np.linalg.norm(a.solution.y[:-3] - b.solution.y[:-3])
-        for start, linear in (
-            (guess, a.linear), (a.solution.y, a.linear), (b.solution.y, b.linear)
-        ):  # fmt: skip
-            y = np.append(start[:-1], guess[-1])
-            try:
-                solution = solve(self._equations, y, linear)
-            except IntegrationError:
-                continue
-            if solution.residual <= CLOSED and np.linalg.norm((solution.y - y)[:-3]) <= near:
-                return solution
-        raise Ended(
-            f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}"
-        )
+            folds = front.folds_before(ratio)
+            equations = self._equations.copied(cancelled)
+        solution = _between(equations, a, b, _interpolated(a, b, ratio))
+        origin = f"the formation's own family, followed from {start:g}"
+        if folds:
+            origin += f" and round folds at {', '.join(f'{fold:.5g}' for fold in folds)}"
+        return closed(equations, solution, origin)
 
     def _begin(self, cancelled):
         """Find the motion from which the family is followed both ways."""
@@ -192,7 +171,10 @@ class OwnFamily:
                 self._faster.begin(equations, replace(first, tangent=-first.tangent))
                 return
             failure = failure or f"at {ratio:g}: {refusal}"
-        self._no_start = f"no motion to follow from fast spin was found; {failure}"
+        self._no_start = (
+            f"no motion to follow from fast spin was found at any of {len(FAST)} rates tried;"
+            f" {failure}"
+        )
 
 
 class _Front:
@@ -264,7 +246,25 @@ class _Front:
         return continuation.bisected(self._curve, before, point, holds, END_TOLERANCE)[0]
 
 
-def _between(a, b, ratio):
+def _between(equations, a, b, guess):
+    """Solve at a rate between two points, next to a guess or else to one of them."""
+    near = 1e-3 + 0.5 * np.linalg.norm(a.solution.y[:-3] - b.solution.y[:-3])
+    for start, linear in (
+        (guess, a.linear), (a.solution.y, a.linear), (b.solution.y, b.linear)
+    ):  # fmt: skip
+        y = np.append(start[:-1], guess[-1])
+        try:
+            solution = solve(equations, y, linear)
+        except IntegrationError:
+            continue
+        if solution.residual <= CLOSED and np.linalg.norm((solution.y - y)[:-3]) <= near:
+            return solution
+    raise Ended(
+        f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}"
+    )
+
+
+def _interpolated(a, b, ratio):
     """y at a rate between two points, by the cubic that has their tangents."""
     p, q = a.solution.y, b.solution.y
     weight = np.ones(p.size)

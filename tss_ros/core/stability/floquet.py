@@ -317,6 +317,7 @@ def _leading(integrator, initial, count, correct, cancelled):
         "monodromy", integrator, (multiplier, vectors), family, judgement, residual,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
+        spin_loss=0.0,
         flow_error=float(np.max(np.abs(missed)) / np.max(np.abs(along))),
         switches=motion.switches,
         pushing_share=look(integrator, start).pushing_share,
@@ -333,12 +334,13 @@ def _frozen(integrator, state, cancelled):
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
     matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
-    value, vectors = multipliers(matrix, stays_in_plane(integrator, state))  # Eq. (37)
+    value, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator, state, multiplier, vectors)
     return _result(
         "frozen", integrator, (multiplier, vectors), family, judge_frozen(multiplier, family),
         closure_residual=missed.residual,
+        spin_loss=0.0,
         initial_closure_residual=missed.residual,
         switches=missed.switches,
         pushing_share=look(integrator, state).pushing_share,

@@ -22,6 +22,7 @@ from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
+from tss_ros.core.stability.modes import stays_in_plane
 from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
 SPIN_RATE_RATIO = "spin_rate_ratio"
@@ -122,7 +123,7 @@ class _Run:
         motion = self._first(system, ratio, state, cancelled)
         scale = None if start * stop > 0.0 else abs(stop - start)
         self.equations = ClosingEquations(
-            at, families.size_of(system), families.planar(system, motion.state),
+            at, families.size_of(system), stays_in_plane(system, motion.state),
             self._symmetry(system, motion, ratio, cancelled), families.RTOL, cancelled, scale,
         )  # fmt: skip
         y = self.equations.vector(motion.state, start, motion.spin_loss)

@@ -70,7 +70,7 @@ def mean_modes(integrator: Integrator, state: State) -> MeanModes:
         If the motion cannot be continued.
     """
     matrix = mean_matrix(integrator, state) * integrator.period_s
-    exponent, vectors = multipliers(matrix, stays_in_plane(integrator, state))
+    exponent, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))
     with np.errstate(over="ignore", under="ignore"):
         family = label(integrator, state, np.exp(exponent), vectors, exponent)
     return MeanModes(exponent, vectors, wave_numbers(integrator, vectors), family)

@@ -101,7 +101,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     position = vectors.reshape(2, system.n, 3, -1)[1]
     above = _above(vectors)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
-    if not stays_in_plane(integrator, result.state):
+    if not stays_in_plane(system, result.state):
         kinds[(above > 0.01) & (above < 0.99)] = DIRECTIONS[2]
     return [
         Mode(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tss_ros.core.model.system import State
+from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.shooting import flow_direction
 
@@ -60,10 +60,10 @@ def multipliers(matrix: np.ndarray, planar: bool) -> tuple[np.ndarray, np.ndarra
     return value, vectors
 
 
-def stays_in_plane(integrator: Integrator, state: State) -> bool:
+def stays_in_plane(system: System, state: State) -> bool:
     """Whether the motion from a state stays in the orbit plane."""
     flat = not (state.position_m[:, 2].any() or state.velocity_m_s[:, 2].any())
-    return integrator.system.keeps_plane and flat
+    return bool(system.keeps_plane and flat)
 
 
 def label(
@@ -92,7 +92,7 @@ def label(
     ndarray, shape (k,), str
         Values of `FAMILIES`. A planar formation has 6, 2, 4 (a straight one 2) and the rest.
     """
-    n, planar = integrator.system.n, stays_in_plane(integrator, state)
+    n, planar = integrator.system.n, stays_in_plane(integrator.system, state)
     weight = np.sqrt(integrator.system.mass_kg / np.mean(integrator.system.mass_kg))[:, None]
     halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))

@@ -76,7 +76,7 @@ def spectrum(
     -------
     Spectrum
     """
-    planar = stays_in_plane(integrator, start)
+    planar = stays_in_plane(integrator.system, start)
     multiplier, vectors = multipliers(matrix, planar)  # Eqs. (25) and (27)
     family = label(integrator, start, multiplier, vectors)
     error, flow_error = integrator.rtol, math.nan
