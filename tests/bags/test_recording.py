@@ -232,3 +232,19 @@ def test_columns_are_what_each_message_says_by_itself():
         Layout(TOPICS["bead_states"].definition, data[:40])
     with pytest.raises(TssError, match="'markers' has type 'Marker\\[\\]'"):
         Layout(TOPICS["markers"].definition, data)
+
+
+def test_a_run_begins_with_its_file_though_its_steps_go_on(tmp_path):
+    """Another simulator, which counts higher, follows one that ended early."""
+    bag = Bag(tmp_path / "bag")
+    bag.describe()
+    for number in range(10):
+        bag.step(number)
+    bag.writer.next_file()
+    bag.describe(spin_rate_ratio=-3.0)
+    for number in range(20, 30):
+        bag.step(number)
+    bag.writer.close()
+    runs = [read_bag(tmp_path / "bag", run) for run in (1, 2)]
+    assert [run.step.tolist() for run in runs] == [list(range(10)), list(range(20, 30))]
+    assert [run.spin_rate_ratio for run in runs] == [-2.0, -3.0]

@@ -113,6 +113,9 @@ def test_the_next_simulator_is_recorded_when_the_first_has_gone(start, tmp_path)
     logger.wait_for_line("another simulator, /second, publishes /")
     first.kill()
     ros_harness.wait_until((bag / "bag_1.mcap").exists, 20, "the second's run")
+    ros_harness.wait_until(
+        lambda: (bag / "bag_1.mcap").stat().st_size > 100_000, 20, "steps of the second"
+    )
     third = start("sim_node", "-r", "__node:=third", spin_rate_ratio=-3.5, **options)
     logger.wait_for_line("another simulator, /third, publishes /")
     assert second.stop() == 0

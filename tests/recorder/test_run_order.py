@@ -33,8 +33,9 @@ class Files:
         )
 
     def take(self, *messages):
-        for topic, sent_ns in messages:
-            self.order.add(Message(topic, SimpleNamespace(sent_ns=sent_ns)))
+        for topic, sent_ns, *sender in messages:
+            sender = sender[0] if sender else "first"
+            self.order.add(Message(topic, SimpleNamespace(sent_ns=sent_ns, sender=sender)))
         self.order.release()
         return self.files
 
@@ -67,6 +68,16 @@ def test_it_does_not_wait_for_ever(monkeypatch):
     assert len(files.take((DESCRIPTIONS, 10), (BEADS, 11))) == 1
     monkeypatch.setattr(run_order, "HOLD_S", 0.0)
     assert files.take() == [[1, 2, 2], [10, 11]]
+
+
+def test_what_another_simulator_sent_before_the_end_of_the_first_is_kept_apart(monkeypatch):
+    """Both ran at the same time; the first's last steps arrive when the second is followed."""
+    files = Files()
+    files.take((DESCRIPTIONS, 3), (BEADS, 4), (TETHERS, 4))
+    files.take((DESCRIPTIONS, 1, "second"), (BEADS, 6, "second"), (TETHERS, 6, "second"))
+    assert files.take((BEADS, 7), (TETHERS, 7)) == [[3, 4, 4, 7, 7]]
+    monkeypatch.setattr(run_order, "HOLD_S", 0.0)
+    assert files.take() == [[3, 4, 4, 7, 7], [1, 6, 6]]
 
 
 def test_nothing_is_kept_back_at_the_end():

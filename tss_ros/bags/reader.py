@@ -48,7 +48,8 @@ class Simulator:
     prefix : str
         What its topics begin with, mostly its namespace.
     blocks : dict of str to list
-        By type of states: schema and serialised messages, (k, bytes).
+        By type of states: schema and serialised messages, (k, bytes), and None where a file begins
+        a run.
     descriptions : list of tuple of int and message
         The messages SystemDescription, and how many bead states were before each of them.
     bead_count : int
@@ -69,6 +70,23 @@ class Simulator:
     is_known: bool = True
     dropped: int = 0
     seen: set = field(default_factory=set)
+
+    @property
+    def reached(self) -> tuple[int, int, dict[str, int]]:
+        """How many descriptions, bead states and blocks there are."""
+        blocks = {name: len(blocks) for name, blocks in self.blocks.items()}
+        return len(self.descriptions), self.bead_count, blocks
+
+    def part(self, described: int, beads: int, blocks: dict[str, int]) -> None:
+        """Begin a run where a file begins, if the file begins with a new description.
+
+        The recorder gives each run files of its own. Steps alone do not tell runs apart where a
+        simulator that counts higher follows one that ended early.
+        """
+        new = self.descriptions[described:]
+        if new and beads and new[0][0] == beads:
+            for name, place in blocks.items():
+                self.blocks[name].insert(place, None)
 
     def describe(self, before: int, place: tuple, message: Any) -> None:
         """Take a description, unless it was taken."""
@@ -111,7 +129,10 @@ class BagContent:
             if i in files.gaps:
                 self._know_nothing()
             with McapFile(place) as file:
+                begun = {prefix: s.reached for prefix, s in self.simulators.items()}
                 count = self._read(file)
+                for prefix, reached in begun.items():
+                    self.simulators[prefix].part(*reached)
                 self.damage += file.damage
                 told = files.counted(place)
                 if not file.damage and told not in (None, count):
@@ -226,7 +247,11 @@ def runs_of(bag: BagContent, simulator: Simulator, name: str) -> list[np.ndarray
             runs.extend(np.split(numbers, anew))
             joined.clear()
 
-    for schema, rows in simulator.blocks[name]:
+    for block in simulator.blocks[name]:
+        if block is None:
+            split()
+            continue
+        schema, rows = block
         while len(rows):
             fits = layout is not None and layout[0] == schema and layout[1].fits(rows)
             count = _leading(fits) if fits is not False else 0

@@ -15,7 +15,8 @@ class RunOrder:
 
     A description that was sent after steps of the run at hand begins the next run. Each topic's
     messages arrive in the order in which they were sent, so the old run is complete once each topic
-    with steps has one of the new run.
+    with steps has one of the new run. Where another simulator follows, the new run waits for the
+    whole of HOLD_S.
 
     Parameters
     ----------
@@ -35,24 +36,30 @@ class RunOrder:
         self._descriptions, self._record, self._begin_run = descriptions, record, begin_run
         self._in_run, self._first_sent_ns = set(), 0  # topics with steps; when the first was sent
         self._held, self._begun_ns, self._awaited = [], 0, set()
-        self._held_at = 0.0
+        self._held_at, self._sender = 0.0, b""  # who sent the steps of the run at hand
 
     def add(self, message: Message) -> None:
         """Take the next message."""
-        topic, sent_ns = message.topic, message.taken.sent_ns
+        topic, sent_ns, sender = message.topic, message.taken.sent_ns, message.taken.sender
         if self._held:
-            if sent_ns >= self._begun_ns:
+            another = self._held[0].taken.sender != self._sender
+            if sender != self._sender if another else sent_ns >= self._begun_ns:
                 self._held.append(message)
-                self._awaited.discard(topic)
+                if not another:
+                    self._awaited.discard(topic)
                 return
         # Who joins a run may hear of it after its first steps here.
-        elif topic is self._descriptions and self._in_run and sent_ns > self._first_sent_ns:
+        elif (
+            topic is self._descriptions
+            and self._in_run
+            and (sent_ns > self._first_sent_ns or sender != self._sender)
+        ):
             self._held, self._begun_ns, self._awaited = [message], sent_ns, self._in_run
             self._held_at = time.monotonic()
             return
         elif topic.every_step:
             if not self._in_run:
-                self._first_sent_ns = sent_ns
+                self._first_sent_ns, self._sender = sent_ns, sender
             self._in_run.add(topic)
         self._record(message)
 

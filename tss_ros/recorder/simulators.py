@@ -7,6 +7,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 from tss_ros.recorder.recorded_topic import Message
+from tss_ros.recorder.run_order import HOLD_S
 from tss_ros.recorder.taking import SENDER_BYTES
 from tss_ros.ros.topics import publishers
 
@@ -36,6 +37,7 @@ class Simulators:
         self._left_out = collections.Counter()  # by sender
         self._node, self._logger = node, logger
         self._followed, self._heard, self._asked = None, 0.0, 0.0
+        self._followed_before, self._changed = None, 0.0
         self._names = {}
         self._latched = collections.defaultdict(list)
 
@@ -57,6 +59,9 @@ class Simulators:
         kept = []
         for message in messages:
             if message.topic.of_simulator and message.taken.sender != self._followed:
+                if self._is_late(message):
+                    kept.append(message)
+                    continue
                 if not self._follows(message):
                     self._leave_out(message)
                     continue
@@ -66,6 +71,11 @@ class Simulators:
             kept.append(message)
         return kept
 
+    def _is_late(self, message):
+        """Whether a message was on its way when the simulator that sent it had gone."""
+        late = time.monotonic() - self._changed < HOLD_S
+        return late and message.taken.sender == self._followed_before
+
     def _follows(self, message):
         """Follow the sender of a message if nobody is followed any more."""
         now, sender = time.monotonic(), message.taken.sender
@@ -74,6 +84,7 @@ class Simulators:
             self._asked = now
             gone = self._followed not in self._senders(message.topic.full_name)
         if gone:
+            self._followed_before, self._changed = self._followed, now
             self._followed = sender
         return gone
 
