@@ -20,7 +20,7 @@ setup(
     maintainer_email="maintainers@users.noreply.h-seed-809a8e3e.example",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["tss_ros", "tss_ros.*"]),
-    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml", "ros/*.xml"]},
+    package_data={"tss_ros": ["py.typed", "scenarios/*.yaml", "ros/*.xml", "messages/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/tss_ros"]),
         ("share/tss_ros", ["package.xml"]),

@@ -26,21 +26,18 @@ from ament_index_python.packages import get_package_prefix
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
-from rclpy.serialization import serialize_message
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
 from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
-from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring, tether_state
-from tss_ros.core.model.forces import lengths_and_rates
+from tss_ros.core import Propagator, disturbed, initial_state, ring
+from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages, system_description
 from tss_ros.review import review
-from tss_ros.ros.messages import StepMessages, system_description
 from tss_ros.ros.network import stay_on_this_machine
 from tss_ros.ros.topics import read_topics
 
 RATE, POOL, FLUSH_PERIOD_S = -2.5, 1000, 0.25
 STATES = ("tether_states", "bead_states")
-STEP = ("tether_states", "markers", "bead_cloud", "tether_lengths", "bead_states")
 
 
 def messages():
@@ -50,24 +47,14 @@ def messages():
     radius_m = np.linalg.norm(start.position_m, axis=1)
     propagator = Propagator(system, RATE, disturbed(start, 10.0, 1))
     position_m, velocity_m_s = propagator.sample(np.arange(POOL, dtype=float))
-    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
-    _, rate_m_s = lengths_and_rates(system, position_m, velocity_m_s)
-    deviations = deviation(position_m, radius_m)
-    make = StepMessages(system, tension_n[0])
-    steps = []
-    for i in range(POOL):
-        ns, place = i * 10**9, (position_m[i], velocity_m_s[i], deviations[i])
-        parts = {
-            "tether_states": make.tether_states(i, ns, length_m[i], tension_n[i], taut[i]),
-            "markers": make.markers(ns, position_m[i], tension_n[i], taut[i]),
-            "bead_cloud": make.bead_cloud(ns, *place),
-            "tether_lengths": make.tether_lengths(ns, length_m[i], rate_m_s[i], tension_n[i]),
-            "bead_states": make.bead_states(i, ns, *place),
-        }
-        steps.append({name: bytes(serialize_message(part)) for name, part in parts.items()})
+    times_ns = np.arange(POOL) * 10**9
+    states = States.of(system, radius_m, times_ns, position_m, velocity_m_s)
+    make = StepMessages(system, states.tension_n[0])
+    rows = {name: make.rows(name, 0, states) for name in STATE_TOPICS}
+    steps = [{name: row[i].tobytes() for name, row in rows.items()} for i in range(POOL)]
     options = {"scenario": "three_star", "disturbance_m": 10.0, "disturbance_seed": 1}
     described = system_description(system, RATE, radius_m, {**options, "publish_period_s": 1.0})
-    return bytes(serialize_message(described)), steps
+    return described, steps
 
 
 def renumbered(data, step):
@@ -84,19 +71,19 @@ def bare_writer(path, described, steps, count):
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         writer.start(profile="ros2")
         channels = {}
-        for name in STEP:
+        for name in STATE_TOPICS:
             topic = read_topics()[name]
             schema = writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
             channels[name] = writer.register_channel(f"/{name}", "cdr", schema)
         begun = time.perf_counter()
         for i in range(count):
-            for name in STEP:
+            for name in STATE_TOPICS:
                 writer.add_message(channels[name], i * 10**9, steps[i % POOL][name], i, i)
         writer.finish()
-        return len(STEP) * count / (time.perf_counter() - begun)
+        return len(STATE_TOPICS) * count / (time.perf_counter() - begun)
 
 
-def bag(directory, described, steps, count, names=STEP, on_million=None, **split):
+def bag(directory, described, steps, count, names=STATE_TOPICS, on_million=None, **split):
     """Messages a second of our writer."""
     writer = BagWriter(directory, "jazzy", **split)
     channels = {}
@@ -178,7 +165,7 @@ def main():
 
     described, steps = messages()
     size = sum(map(len, steps[0].values()))
-    tell(f"one step: {len(STEP)} messages, {size} bytes")
+    tell(f"one step: {len(STATE_TOPICS)} messages, {size} bytes")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for repeat in range(3):
@@ -187,7 +174,7 @@ def main():
             tell(f"bare mcap writer {bare:8.0f} messages/s, BagWriter {ours:8.0f} messages/s")
         rate, told = nodes(folder)
         tell(f"sim_node to logger_node {rate:.0f} messages/s: {told}")
-        count = options.millions * 1_000_000 // len(STEP)
+        count = options.millions * 1_000_000 // len(STATE_TOPICS)
 
         def show(written):
             tell(f"{written} messages written, {memory_mb():.0f} MB")

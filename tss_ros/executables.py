@@ -15,6 +15,7 @@ EXECUTABLES = {
     "sim_node": "simulator.sim_node:main",
     "stability_node": "stability_service.stability_node:main",
     "logger_node": "recorder.logger_node:main",
+    "simulate": "simulator.straight:main",
     "stability": "stability_service.client:main",
     "sweep": "sweeps.command:main",
     "follow": "sweeps.following:main",

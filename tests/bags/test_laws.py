@@ -24,8 +24,8 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
+from tss_ros.messages.steps import States, StepMessages, system_description
 from tss_ros.review import review
-from tss_ros.ros.messages import StepMessages, system_description
 from tss_ros.scenarios.laws import law_in_words, laws_in_words
 
 OPTIONS = {
@@ -48,11 +48,11 @@ def record(directory, system, turns=1.0):
     radius_m = np.linalg.norm(steady.position_m, axis=1)
     described = system_description(system, -2.2, radius_m, OPTIONS)
     bag.write("system_description", described, 0)
-    make, zeros = StepMessages(system, np.ones(system.m)), np.zeros(system.n)
-    place = position_m[0], velocity_m_s[0], zeros
-    bag.write("bead_states", make.bead_states(0, 0, *place), 0)
-    tethers = make.tether_states(0, 0, length_m[0], tension_n[0], taut[0])
-    bag.write("tether_states", tethers, 0)
+    first = position_m[:1], velocity_m_s[:1]
+    states = States.of(system, radius_m, np.zeros(1, int), *first)
+    for name in ("bead_states", "tether_states"):
+        row = StepMessages(system, np.ones(system.m)).rows(name, 0, states)[0]
+        bag.write(name, row.tobytes(), 0)
     bag.writer.close()
     recording = read_bag(directory)
     return dataclasses.replace(

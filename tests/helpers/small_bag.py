@@ -100,5 +100,5 @@ class Bag:
         self.written.append((beads, tethers))
 
     def write(self, name, message, time_ns):
-        data = bytes(serialize_message(message))
+        data = message if isinstance(message, bytes) else bytes(serialize_message(message))
         self.writer.write(self._channel[name], data, time_ns, time_ns, 0)

@@ -8,7 +8,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from tss_ros import scenarios
-from tss_ros.ros import messages
+from tss_ros.messages.steps import FRAME_ID
 from tss_ros.ros.topics import read_topics
 from tss_ros.scenarios.scenario import shipped
 
@@ -56,10 +56,10 @@ def test_layouts_show_what_is_published():
     assert {topics[value].split("/")[-1]: value for value in shown.values()} == {
         kind.split("/")[-1]: value for kind, value in shown.items()
     }
-    assert rviz["Global Options"]["Fixed Frame"] == messages.FRAME_ID
+    assert rviz["Global Options"]["Fixed Frame"] == FRAME_ID
     panels = json.loads((SHARE / "layouts" / "tss_foxglove.json").read_text())
     scene = panels["configById"]["3D!formation"]
-    assert scene["followTf"] == messages.FRAME_ID and set(scene["topics"]) < set(topics)
+    assert scene["followTf"] == FRAME_ID and set(scene["topics"]) < set(topics)
     plots = [p for name, p in panels["configById"].items() if name.startswith("Plot!")]
     for path in (path["value"] for plot in plots for path in plot["paths"]):
         topic, field = path.split(".")

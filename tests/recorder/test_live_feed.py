@@ -8,9 +8,9 @@ from std_msgs.msg import Header
 from tss_interfaces.msg import BeadStates, FloquetResult
 
 from tss_ros.core import TssError, initial_state, ring, tether_state
+from tss_ros.messages.steps import States, StepMessages, system_description
 from tss_ros.recorder import live_feed
 from tss_ros.review import review
-from tss_ros.ros.messages import StepMessages, system_description
 
 
 class Viewer:
@@ -58,16 +58,15 @@ def fed(monkeypatch):
         simulation = {"scenario": "three_star", "publish_period_s": 1.0}
         simulation |= {"disturbance_m": 0.0, "disturbance_seed": 0}
         described = system_description(system, -2.5, np.ones(3), simulation)
-        feed.take("system_description", serialize_message(described))
+        feed.take("system_description", described)
 
     def publish(steps):
         for step in steps:
-            deviation = np.full(3, float(step))
-            message = make.tether_states(step, step * 10**9, *tethers)
-            feed.take("tether_states", serialize_message(message))
-            place = (state.position_m, state.velocity_m_s)
-            message = make.bead_states(step, step * 10**9, *place, deviation)
-            feed.take("bead_states", serialize_message(message))
+            moved = state.position_m[None], state.velocity_m_s[None]
+            states = States.of(system, np.ones(3), np.array([step * 10**9]), *moved)
+            states = states._replace(deviation=np.full((1, 3), float(step)))
+            for name in ("tether_states", "bead_states"):
+                feed.take(name, make.rows(name, step, states)[0].tobytes())
             feed.take("markers", b"not wanted")
 
     feed.start()

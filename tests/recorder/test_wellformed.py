@@ -7,9 +7,10 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from tss_interfaces.msg import FloquetResult, SystemDescription
 
-from tss_ros.core import initial_state, tether_state
+from tss_ros.core import initial_state
+from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages
 from tss_ros.recorder.wellformed import Form, Malformed
-from tss_ros.ros.messages import StepMessages, simulation_event
+from tss_ros.ros.messages import simulation_event
 from tss_ros.ros.topics import read_topics
 from tss_ros.scenarios import scenario
 
@@ -22,15 +23,15 @@ def messages():
     loaded = scenario.load("six_bead")
     system = loaded.build()
     state = initial_state(system, loaded.spin_rate_ratio)
-    length_m, tension_n, taut = tether_state(system, state.position_m, state.velocity_m_s)
-    make = StepMessages(system, tension_n, "orbit")
-    moved = state.position_m, state.velocity_m_s, np.zeros(system.n)
+    moved = state.position_m[None], state.velocity_m_s[None]
+    states = States.of(system, np.ones(system.n), np.array([10]), *moved)
+    make = StepMessages(system, states.tension_n[0])
     return {
-        "bead_states": make.bead_states(1, 10, *moved),
-        "tether_states": make.tether_states(1, 10, length_m, tension_n, taut),
-        "markers": make.markers(10, state.position_m, tension_n, taut),
-        "bead_cloud": make.bead_cloud(10, *moved),
-        "tether_lengths": make.tether_lengths(10, length_m, 0.0 * length_m, tension_n),
+        **{
+            name: deserialize_message(make.rows(name, 1, states)[0].tobytes(), t.message_class)
+            for name, t in read_topics().items()
+            if name in STATE_TOPICS
+        },
         "simulation_events": simulation_event(10, 1, 0, "reset", "time and Ω", "orbit"),
         "stability_results": FloquetResult(verdict="stable", message="", tether_law="x"),
         "system_description": SystemDescription(

@@ -24,7 +24,10 @@ LAW = BeadLaw("trap", "pull to the centre", acceleration, parameters=(TRAP,))
 '''
 PROGRAM = '''
 import generate
-from tss_ros.ros import messages, parameters
+from rclpy.serialization import deserialize_message
+from tss_interfaces.msg import SystemDescription
+from tss_ros.messages import steps
+from tss_ros.ros import parameters
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, VARIED, names
 
@@ -34,7 +37,8 @@ system = scenario.load("three_star").build({"trap_per_s2": 0.25})
 assert system.law_parameters["trap_per_s2"] == 0.25
 options = {"scenario": "three_star", "publish_period_s": 1.0}
 options |= {"disturbance_m": 0.0, "disturbance_seed": 0}
-described = messages.system_description(system, -2.5, [1.0] * 3, options)
+data = steps.system_description(system, -2.5, [1.0] * 3, options)
+described = deserialize_message(data, SystemDescription)
 assert dict(zip(described.law_parameter_name, described.law_parameter))["trap_per_s2"] == 0.25
 assert "| `trap_per_s2` | Pull per distance from the centre [1/s^2]." in generate.parameters()
 '''

@@ -36,15 +36,13 @@ class BagFile:
         """Messages of all topics."""
         return sum(self.counts.values())
 
-    def add(self, topic: str, log_time_ns: int) -> None:
-        """Count one message."""
-        self.counts[topic] = self.counts.get(topic, 0) + 1
+    def add(self, topic: str, first_ns: int, last_ns: int, count: int = 1) -> None:
+        """Count messages between two log times [ns]."""
+        self.counts[topic] = self.counts.get(topic, 0) + count
         if self.first_ns is None:
-            self.first_ns = self.last_ns = log_time_ns
-        elif log_time_ns > self.last_ns:
-            self.last_ns = log_time_ns
-        elif log_time_ns < self.first_ns:
-            self.first_ns = log_time_ns
+            self.first_ns, self.last_ns = first_ns, last_ns
+        else:
+            self.first_ns, self.last_ns = min(first_ns, self.first_ns), max(last_ns, self.last_ns)
 
 
 def write_metadata(

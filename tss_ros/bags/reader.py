@@ -13,11 +13,11 @@ import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from tss_ros.bags.cdr import Layout
 from tss_ros.bags.directory import METADATA, find_files
 from tss_ros.bags.mcap_file import McapFile
 from tss_ros.bags.metadata import NOTES
 from tss_ros.bags.records import DAMAGE, MESSAGE_HEAD, BagError, Batch, Damage
+from tss_ros.messages.cdr import Layout
 
 STATES = ("BeadStates", "TetherStates")
 #: Types that are read, and the topics that have them unless they are remapped.
@@ -32,7 +32,8 @@ _FIELDS = {
     "BeadStates": ("position_m", "velocity_m_s", "deviation"),
     "TetherStates": ("length_m", "tension_n", "taut"),
 }
-FIELDS = {name: ("step", "stamp.sec", "stamp.nanosec", *more) for name, more in _FIELDS.items()}
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+FIELDS = {name: ("step", *STAMP, *more) for name, more in _FIELDS.items()}
 #: Most changes of texts and lengths among the messages of a topic; more would take for ever.
 MAX_LAYOUTS = 10_000
 #: Most bytes and types of a schema, which is decoded type by type.
@@ -298,7 +299,8 @@ def _time_goes_back(numbers):
 
 def times_ns(numbers: np.ndarray) -> np.ndarray:
     """Simulation times [ns] of messages with a header."""
-    return numbers["stamp.sec"].astype(np.int64) * 10**9 + numbers["stamp.nanosec"]
+    seconds, nanoseconds = (numbers[name] for name in STAMP)
+    return seconds.astype(np.int64) * 10**9 + nanoseconds
 
 
 def description_of(

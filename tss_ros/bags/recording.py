@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tss_ros.bags.older import UNSAID, completed
-from tss_ros.bags.reader import STATES, BagContent, description_of, runs_of, times_ns
+from tss_ros.bags.reader import STAMP, STATES, BagContent, description_of, runs_of, times_ns
 from tss_ros.bags.records import DAMAGE, BagError
 from tss_ros.core import System, TssError, deviation, elastic_energy, pushing_share
 
@@ -359,7 +359,7 @@ def _recording(bag, place, description, beads, tethers):
         recording = Recording(
             **vars(Description.of(description)),
             step=steps.astype(int),
-            t_s=column("beads", "stamp.sec") + column("beads", "stamp.nanosec") * 1e-9,
+            t_s=sum(column("beads", n) * unit for n, unit in zip(STAMP, (1.0, 1e-9))),
             position_m=column("beads", "position_m", -1, 3),
             velocity_m_s=column("beads", "velocity_m_s", -1, 3),
             deviation=column("beads", "deviation", -1),

@@ -218,7 +218,7 @@ class _Copy:
             number, sequence, log_time, publish_time = head
             topic, channel = self._channels.get(number) or self._channel(number)
             self.writer.add_message(channel, log_time, batch.payload(i), publish_time, sequence)
-            self.entry.add(topic, log_time)
+            self.entry.add(topic, log_time, log_time)
             self.newest_ns = publish_time
 
     def add_gap(self, gap: Gap, lost_copies: list[tuple]):
@@ -236,7 +236,7 @@ class _Copy:
             _, number, sequence, log_time, publish_time, data = copy
             topic, channel = self._channels.get(number) or self._channel(number)
             self.writer.add_message(channel, log_time, data, publish_time, sequence)
-            self.entry.add(topic, log_time)
+            self.entry.add(topic, log_time, log_time)
 
     def _channel(self, number):
         channel = self.source.channels[number]

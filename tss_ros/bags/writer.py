@@ -11,9 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 from mcap.records import Channel, Message, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
+from tss_ros.bags.columns import ColumnWriter
 from tss_ros.bags.directory import lock, sync_directory
 from tss_ros.bags.metadata import NOTES, BagFile, dump, information, write_metadata
 from tss_ros.bags.records import LATCHED, TOPICS, pack_message, pack_topics
@@ -150,8 +152,46 @@ class BagWriter:
             self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
             raise self._failure(error) from error
-        self._files[-1].add(self._topics[channel - 1][0]["name"], log_time_ns)
-        self.message_count += 1
+        self._count(channel, log_time_ns, log_time_ns, 1)
+
+    def write_columns(
+        self,
+        columns: dict[int, np.ndarray],
+        log_time_ns: np.ndarray,
+        publish_time_ns: int,
+        sequence: int,
+    ) -> None:
+        """Write messages of several topics that belong to the same times, as a chunk of their own.
+
+        Parameters
+        ----------
+        columns : dict of int to ndarray, shape (k, bytes), uint8
+            Serialised messages by the topic's number; at each time, topics come in this order.
+        log_time_ns : ndarray, shape (k,)
+            Simulation times [ns].
+        publish_time_ns, sequence : int
+            Wall time [ns] of all; number of the first in each topic.
+
+        Raises
+        ------
+        TssError
+            As `write` does.
+        """
+        if self._ended or not len(log_time_ns):
+            return
+        try:
+            if not self._repeated:
+                self._repeat_topics()
+            self._writer.add_columns(columns, log_time_ns, publish_time_ns, sequence)
+        except OSError as error:
+            raise self._failure(error) from error
+        for channel in columns:
+            self._count(channel, log_time_ns.min(), log_time_ns.max(), len(log_time_ns))
+
+    def _count(self, channel, first_ns, last_ns, count):
+        topic = self._topics[channel - 1][0]["name"]
+        self._files[-1].add(topic, int(first_ns), int(last_ns), count)
+        self.message_count += count
 
     def flush(self) -> None:
         """Hand all that is written to the operating system and, each second, to the disk.
@@ -277,9 +317,9 @@ class BagWriter:
         )
 
 
-def begin(stream: BinaryIO) -> Writer:
+def begin(stream: BinaryIO) -> ColumnWriter:
     """A writer of chunks and checksums, as files of bags have them."""
-    writer = Writer(
+    writer = ColumnWriter(
         stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
     )
     writer.start(profile="ros2")
@@ -287,7 +327,7 @@ def begin(stream: BinaryIO) -> Writer:
 
 
 def finish(
-    writer: Writer,
+    writer: ColumnWriter,
     stream: BinaryIO,
     file: BagFile,
     topics: list[dict[str, Any]],
@@ -298,7 +338,7 @@ def finish(
 
     Parameters
     ----------
-    writer : mcap.writer.Writer
+    writer : ColumnWriter
     stream : file object
         What `writer` writes to.
     file : BagFile

@@ -8,9 +8,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
 
-from tss_ros.bags.cdr import stamp_ns, step_number
 from tss_ros.bags.recording import Description, Recording
 from tss_ros.core import TssError
+from tss_ros.messages.cdr import stamp_ns, step_number
 
 #: The viewer gets at most this many steps, this often [s]; a display shows no more.
 STEPS, PERIOD_S = 20, 0.1

@@ -12,11 +12,11 @@ from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from tss_interfaces.msg import RecorderStatus, SimulationStatus
 
-from tss_ros.bags.cdr import step_number
 from tss_ros.bags.records import BagError
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
+from tss_ros.messages.cdr import step_number
 from tss_ros.recorder.recorded_topic import RecordedTopic
 from tss_ros.recorder.run_order import RunOrder
 from tss_ros.recorder.simulators import Simulators, is_told

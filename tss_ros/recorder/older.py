@@ -9,7 +9,8 @@ from mcap.records import Schema
 from tss_ros.bags.older import UNSAID
 from tss_ros.bags.reader import decoded
 from tss_ros.bags.records import BagError
-from tss_ros.ros.topics import base_type, definition, message_class, used_types
+from tss_ros.messages.types import definition
+from tss_ros.ros.topics import base_type, message_class, used_types
 
 
 def converter(schema: Schema) -> Callable[[bytes], Any]:

@@ -7,7 +7,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.waitable import NumberOfEntities, Waitable
 
-from tss_ros.bags.cdr import stamp_ns, step_number
+from tss_ros.messages.cdr import stamp_ns, step_number
 from tss_ros.recorder.taking import Taken, Taker
 from tss_ros.recorder.wellformed import Form, Malformed
 from tss_ros.ros.topics import Topic

@@ -7,7 +7,8 @@ from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header
 
 from tss_ros.core import System
-from tss_ros.ros.messages import FRAME_ID, stamp
+from tss_ros.messages.steps import FRAME_ID
+from tss_ros.ros.messages import stamp
 
 #: The frame at rest in the Earth's centre whose axes the orbit frame has at time 0.
 INERTIAL_FRAME_ID = "inertial"

@@ -92,28 +92,16 @@ OVERRIDES = _of_scenario("never")
 SIMULATOR = (
     dataclasses.replace(SCENARIO, applies="reset"),
     *_of_scenario("reset"),
-    Parameter(
-        "publish_period_s", float, "Simulated time between steps", "s",
-        minimum=1e-3, maximum=1e5, default=1.0, applies="reset",
-    ),
-    Parameter(
-        "disturbance_m", float,
-        "Norm over all beads of random offsets added to the initial positions", "m",
-        minimum=0.0, maximum=1e5, default=0.0, applies="reset",
-    ),
-    Parameter(
-        "disturbance_seed", int, "Seed of these offsets",
-        minimum=0, maximum=2**31 - 1, default=0, applies="reset",
+    *(
+        Parameter(**vars(p), applies="reset")
+        for p in (scenario_parameters.PUBLISH_PERIOD, *scenario_parameters.DISTURBANCE)
     ),
     Parameter(
         "time_scale", float, "Simulated seconds per wall second", "-",
         minimum=0.0, maximum=1e6, default=100.0, applies="at once",
         note="0: as fast as a recorder can take it, losing nothing",
     ),
-    Parameter(
-        "turns", float, "Spin turns after which the simulator ends", "-",
-        minimum=0.0, maximum=1e6, default=0.0, note="0: endless",
-    ),
+    Parameter(**(vars(scenario_parameters.TURNS) | {"note": "0: endless"})),
     Parameter(
         "wait_for_recorder", bool,
         "Publish nothing until a recorder is recording and receives every recorded topic",

@@ -3,6 +3,7 @@
 import array
 import math
 
+import numpy as np
 from tss_interfaces.msg import (
     Confirmation,
     CriticalRate,
@@ -13,7 +14,6 @@ from tss_interfaces.msg import (
 )
 
 from tss_ros import core
-from tss_ros.ros.messages import doubles
 
 
 def floquet_result(
@@ -98,3 +98,8 @@ def _same_fields(kind, value, **others):
     """A message with the fields of `value`, and others by name."""
     names = kind.get_fields_and_field_types()
     return kind(**{n: others[n] if n in others else getattr(value, n) for n in names})
+
+
+def doubles(values: np.ndarray | list[float]) -> array.array:
+    """A flat float64[]; filling a message from array.array skips its element-by-element checks."""
+    return array.array("d", np.ascontiguousarray(values, dtype=np.float64).tobytes())

@@ -1,15 +1,9 @@
-"""The topics named in recording.yaml: QoS, message types and what a bag says about them."""
+"""The topics named in recording.yaml in the middleware: QoS, classes of messages, publishers."""
 
 import functools
 import importlib
-import json
 import warnings
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
-import yaml
-from ament_index_python.packages import get_package_share_directory
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -17,34 +11,18 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from tss_ros.core import TssError
+from tss_ros.messages import topics
 
 #: /clock is published at most this often [1/s of wall time]: faster starves those who follow it.
 CLOCK_RATE_HZ = 200.0
-#: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
-UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 #: Most messages that a topic may be told to keep.
 MAX_DEPTH = 1_000_000
 #: What a user may change by the parameters qos_overrides.<topic>.<publisher or subscription>.*.
 OVERRIDABLE = (QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 
 
-@dataclass(frozen=True)
-class Topic:
-    """One topic as recording.yaml describes it; see there for the meaning of each field."""
-
-    name: str
-    type: str
-    recorded: bool
-    durability: str
-    depth: int
-    publisher: str = "sim_node"
-
-    def __post_init__(self):
-        if self.durability not in ("volatile", "transient_local"):
-            allowed = "volatile or transient_local"
-            raise TssError(f"durability of {self.name} is {self.durability!r}; allowed: {allowed}")
-        if not (isinstance(self.depth, int) and self.depth >= 1):
-            raise TssError(f"depth of {self.name} is {self.depth!r}; allowed: 1 or more")
+class Topic(topics.Topic):
+    """A topic with what the middleware needs to know of it."""
 
     @property
     def message_class(self) -> type:
@@ -56,34 +34,6 @@ class Topic:
         """The QoS of publishers and subscriptions: reliable, keeping the last `depth`."""
         durability = DurabilityPolicy.get_from_short_key(self.durability)
         return QoSProfile(depth=self.depth, durability=durability)
-
-    @property
-    def offered_qos(self) -> dict[str, Any]:
-        """The same as the dict that rosbag2 stores as `offered_qos_profiles`."""
-        return {
-            "history": "keep_last",
-            "depth": self.depth,
-            "reliability": "reliable",
-            "durability": self.durability,
-            "deadline": UNLIMITED,
-            "lifespan": UNLIMITED,
-            "liveliness": "automatic",
-            "liveliness_lease_duration": UNLIMITED,
-            "avoid_ros_namespace_conventions": False,
-        }
-
-    @property
-    def type_hash(self) -> str:
-        """The RIHS01 hash of the type, from the JSON file installed beside its definition."""
-        described = json.loads(_interface_file(self.type, "json").read_text(encoding="utf-8"))
-        return next(
-            h["hash_string"] for h in described["type_hashes"] if h["type_name"] == self.type
-        )
-
-    @property
-    def definition(self) -> str:
-        """The type's `definition`."""
-        return definition(self.type)
 
     @property
     def stamp_offset(self) -> int | None:
@@ -153,50 +103,14 @@ def _check_depth(qos):
 
 @functools.cache
 def read_topics() -> dict[str, Topic]:
-    """Read recording.yaml.
-
-    Returns
-    -------
-    dict of str to Topic
-        By relative name, in the file's order.
-
-    Raises
-    ------
-    TssError
-        If an entry is not as it should be.
-    """
-    path = Path(get_package_share_directory("tss_ros")) / "msg_configs" / "recording.yaml"
-    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    try:
-        return {name: Topic(name=name, **entry) for name, entry in entries.items()}
-    except TypeError as error:
-        raise TssError(f"{path}: {error}; see its first lines") from error
+    """The topics named in recording.yaml by relative name; TssError if an entry is wrong."""
+    return topics.read_topics(Topic)
 
 
 def message_class(type_name: str) -> type:
     """The Python class of "package/msg/Type"."""
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-def definition(type_name: str) -> str:
-    """A type's text and, after it, that of each type it uses: MCAP's "ros2msg" schema."""
-    texts, queue = {}, [type_name]
-    while queue:
-        name = queue.pop(0)
-        if name not in texts:
-            texts[name] = _interface_file(name, "msg").read_text(encoding="utf-8")
-            queue += [base_type(field) for field in used_types(name).values()]
-    root = texts.pop(type_name)
-    parts = [
-        f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()
-    ]
-    return "\n".join([root, *parts])
-
-
-def _interface_file(type_name, suffix):
-    package, _, name = type_name.split("/")
-    return Path(get_package_share_directory(package)) / "msg" / f"{name}.{suffix}"
 
 
 def used_types(type_name: str) -> dict[str, str]:

@@ -186,6 +186,27 @@ SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
 GRAPH = tuple(
     p for p in SCENARIO if p in LAWS or p.name in ("orbit_altitude_m", "spin_rate_ratio")
 )
+#: What a run needs besides its scenario.
+PUBLISH_PERIOD = Parameter(
+    "publish_period_s", float, "Simulated time between steps", "s",
+    minimum=1e-3, maximum=1e5, default=1.0,
+)  # fmt: skip
+DISTURBANCE = (
+    Parameter(
+        "disturbance_m", float,
+        "Norm over all beads of random offsets added to the initial positions", "m",
+        minimum=0.0, maximum=1e5, default=0.0,
+    ),
+    Parameter(
+        "disturbance_seed", int, "Seed of these offsets",
+        minimum=0, maximum=2**31 - 1, default=0,
+    ),
+)  # fmt: skip
+TURNS = Parameter(
+    "turns", float, "Spin turns after which the simulator ends", "-",
+    minimum=0.0, maximum=1e6, default=0.0,
+)  # fmt: skip
+RUN = (PUBLISH_PERIOD, *DISTURBANCE, TURNS)
 #: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
 VARIED = FORMATION
 

@@ -9,9 +9,11 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from tss_interfaces.msg import BeadStates, TetherStates
 
 from tss_ros.core import TssError
-from tss_ros.core.model.forces import lengths_and_rates
+from tss_ros.messages.steps import FRAME_ID, STATE_TOPICS, StepMessages, system_description
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
@@ -37,8 +39,6 @@ LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 #: Topics that are made only for those who listen.
 FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
-#: What a step consists of. A recorder that has got the last of them has got the whole step.
-STATE_TOPICS = ("tether_states", *FOR_VIEWERS, "bead_states")
 
 
 class SimNode(TssNode):
@@ -50,7 +50,7 @@ class SimNode(TssNode):
         self._options = systems.without_scenario_values(given)
         systems.declare_scenario_values(self, parameters.SIMULATOR, self._options)
         setup = self._make_setup()
-        self._frame_id = self._options["frame_prefix"] + messages.FRAME_ID
+        self._frame_id = self._options["frame_prefix"] + FRAME_ID
         topics = read_topics()
         optional = {"/clock": "publish_clock", "/tf": "publish_tf"}
         self._publisher = {
@@ -175,9 +175,10 @@ class SimNode(TssNode):
         """Announce a run that begins with this step."""
         setup = self._control.simulation.setup
         self._run = self._control.run
-        self._messages = messages.StepMessages(setup.system, setup.tension_n, self._frame_id)
+        self._messages = StepMessages(setup.system, setup.tension_n, self._frame_id)
+        self._serialised = {}
         self._publisher["system_description"].publish(
-            messages.system_description(
+            system_description(
                 setup.system,
                 setup.spin_rate_ratio,
                 setup.reference_radius_m,
@@ -215,23 +216,22 @@ class SimNode(TssNode):
     def _publish_state(self, name):
         """Publish what this topic says of the newest step."""
         step, sample, new_run = self._shown
-        make, time_ns = self._messages, sample.time_ns
-        tethers = sample.tension_n, sample.taut
-        beads = sample.position_m, sample.velocity_m_s, sample.deviation
-        if name == "tether_states":
-            message = make.tether_states(step, time_ns, sample.length_m, *tethers)
-        elif name == "bead_states":
-            message = make.bead_states(step, time_ns, *beads)
-        elif name == "markers":
-            markers = make.clearing_markers if new_run else make.markers
-            message = markers(time_ns, sample.position_m, *tethers)
-        elif name == "bead_cloud":
-            message = make.bead_cloud(time_ns, *beads)
+        if name == "markers" and new_run:
+            rows, row = self._messages.rows(name, step, sample.alone, clearing=True), 0
         else:
-            system = self._control.simulation.setup.system
-            lengths = lengths_and_rates(system, sample.position_m, sample.velocity_m_s)
-            message = make.tether_lengths(time_ns, *lengths, sample.tension_n)
-        self._publisher[name].publish(message)
+            rows, row = self._rows(name, step, sample), sample.row
+        self._publisher[name].publish(rows[row].tobytes())
+
+    def _rows(self, name, step, sample):
+        """A topic's messages of all states that were computed with this one, made once."""
+        first_step, begin_ns = step - sample.row, sample.time_ns - sample.states.time_ns[sample.row]
+        states, *place, rows = self._serialised.get(name, (None, None))
+        if states is not sample.states or place != [first_step, begin_ns]:
+            states = sample.states
+            shifted = states._replace(time_ns=states.time_ns + begin_ns)
+            rows = self._messages.rows(name, first_step, shifted)
+            self._serialised[name] = states, first_step, begin_ns, rows
+        return rows
 
     def _publish_events(self, step):
         time_ns = self._control.simulation.newest.time_ns
@@ -274,13 +274,11 @@ class SimNode(TssNode):
     def _newest_states(self):
         """BeadStates and TetherStates of the newest state, as messages of their own."""
         control, setup = self._control, self._control.simulation.setup
-        make = messages.StepMessages(setup.system, setup.tension_n, self._frame_id)
-        step, sample = max(control.step, 0), control.simulation.newest
-        beads = sample.position_m, sample.velocity_m_s, sample.deviation
-        tethers = sample.length_m, sample.tension_n, sample.taut
-        return (
-            make.bead_states(step, sample.time_ns, *beads),
-            make.tether_states(step, sample.time_ns, *tethers),
+        make = StepMessages(setup.system, setup.tension_n, self._frame_id)
+        step, states = max(control.step, 0), control.simulation.newest.alone
+        return tuple(
+            deserialize_message(make.rows(name, step, states)[0].tobytes(), kind)
+            for name, kind in (("bead_states", BeadStates), ("tether_states", TetherStates))
         )
 
     def _keep_clock(self):
@@ -347,7 +345,7 @@ class SimNode(TssNode):
 
     def _report_diagnostics(self):
         simulation = self._control.simulation
-        names, sample = simulation.setup.system.tether_name, simulation.newest
+        names, newest = simulation.setup.system.tether_name, simulation.newest.alone
         published = self._flow.published
         self._publisher["/diagnostics"].publish(
             diagnostics.of_simulator(
@@ -355,7 +353,7 @@ class SimNode(TssNode):
                 self._status,
                 self._control.late,
                 simulation.setup.publish_period_s / STATUS_PERIOD_S,
-                [names[i] for i in np.flatnonzero(~sample.taut) if i < len(names)],
+                [names[i] for i in np.flatnonzero(~newest.taut[0]) if i < len(names)],
                 {
                     output: (published - recorder.step, recorder.lost)
                     for output, recorder in self._flow.recorders.items()

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tss_ros.core import Propagator, State, TssError, deviation, tether_state
+from tss_ros.core import Propagator, State, TssError
+from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
@@ -39,30 +40,72 @@ class Sample(NamedTuple):
     ----------
     time_ns : int
         Simulation time [ns].
-    position_m, velocity_m_s : ndarray, shape (n, 3)
-        Of every bead.
-    deviation : ndarray, shape (n,)
-        Eq. (53) [-].
-    length_m, tension_n : ndarray, shape (m,)
-        Of every tether segment.
-    taut : ndarray, shape (m,), bool
+    states : States
+        Those that were computed together; their times count from where the trajectory began.
+    row : int
+        Which of them it is.
     """
 
     time_ns: int
-    position_m: np.ndarray
-    velocity_m_s: np.ndarray
-    deviation: np.ndarray
-    length_m: np.ndarray
-    tension_n: np.ndarray
-    taut: np.ndarray
+    states: States
+    row: int
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Of every bead [m], (n, 3)."""
+        return self.states.position_m[self.row]
+
+    @property
+    def velocity_m_s(self) -> np.ndarray:
+        """Of every bead [m/s], (n, 3)."""
+        return self.states.velocity_m_s[self.row]
+
+    @property
+    def alone(self) -> States:
+        """This state alone, with its simulation time."""
+        states = States(*(column[self.row : self.row + 1] for column in self.states))
+        return states._replace(time_ns=np.array([self.time_ns]))
 
 
 class _Chunk(NamedTuple):
-    """States integrated in one go: Samples without their time, the end, wall time taken [s]."""
+    """States integrated in one go, the end, wall time taken [s]."""
 
-    rows: list
+    states: States
     end: Checkpoint
     wall_s: float
+
+
+def compute_states(
+    setup: Setup,
+    propagator: Propagator,
+    first: int,
+    count: int,
+    cancelled: Callable[[], bool] | None = None,
+) -> States:
+    """States `first` to `first + count - 1` of a motion, one each publish period.
+
+    Parameters
+    ----------
+    setup : Setup
+    propagator : Propagator
+    first, count : int
+    cancelled : callable, optional
+
+    Returns
+    -------
+    States
+
+    Raises
+    ------
+    IntegrationError
+        If the motion cannot be continued.
+    Cancelled
+        If `cancelled` said so.
+    """
+    times_s = np.arange(first, first + count) * setup.publish_period_s
+    sampled = propagator.sample(times_s, cancelled)
+    time_ns = np.rint(times_s * 1e9).astype(np.int64)
+    return States.of(setup.system, setup.reference_radius_m, time_ns, *sampled)
 
 
 class _Trajectory:
@@ -96,7 +139,7 @@ class _Trajectory:
         return bool(self._rows) or (self._future is not None and self._future.done())
 
     def take(self):
-        """The next state, as the fields of a Sample but its time; waits for it when it must.
+        """The next state, as States and its row; waits for it when it must.
 
         Raises
         ------
@@ -120,7 +163,7 @@ class _Trajectory:
         self._use(chunk)
         self._rows.clear()
         self.index = index
-        return chunk.rows[-1]
+        return States(*(column[-1:] for column in chunk.states)), 0
 
     def checkpoint(self):
         """The newest checkpoint that is not later than the newest state taken."""
@@ -137,9 +180,10 @@ class _Trajectory:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _use(self, chunk):
-        self._rows.extend(chunk.rows)
+        count = len(chunk.states.time_ns)
+        self._rows.extend((chunk.states, row) for row in range(count))
         self._before, self._after = self._after, chunk.end
-        self.wall_s_per_step = chunk.wall_s / len(chunk.rows)
+        self.wall_s_per_step = chunk.wall_s / count
         shortest, longest = CHUNK_WALL_S
         if chunk.wall_s < shortest:
             limit = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // self._setup.system.n))
@@ -155,16 +199,11 @@ class _Trajectory:
 
     def _integrate(self, first, count):
         begun = time.monotonic()
-        times_s = np.arange(first, first + count) * self._setup.publish_period_s
-        position_m, velocity_m_s = self._propagator.sample(times_s, self._cancelled.is_set)
-        rows = zip(
-            position_m,
-            velocity_m_s,
-            deviation(position_m, self._setup.reference_radius_m),
-            *tether_state(self._setup.system, position_m, velocity_m_s),
+        states = compute_states(
+            self._setup, self._propagator, first, count, self._cancelled.is_set
         )
         end = make_checkpoint(self._propagator, first + count - 1)
-        return _Chunk(list(rows), end, time.monotonic() - begun)
+        return _Chunk(states, end, time.monotonic() - begun)
 
 
 class Simulation:

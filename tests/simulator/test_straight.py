@@ -1,0 +1,128 @@
+"""A simulation straight into a bag is what the nodes would have recorded, and needs no ROS."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import ros_harness
+import yaml
+from mcap.reader import make_reader
+from rclpy.serialization import deserialize_message
+
+from tss_ros.bags.recording import read_bag
+from tss_ros.bags.verify import verify
+from tss_ros.core import Cancelled, TssError
+from tss_ros.ros.topics import message_class
+from tss_ros.simulator import straight
+
+RUN = {"turns": 0.5, "disturbance_m": 10.0, "disturbance_seed": 3, "publish_period_s": 2.0}
+WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in RUN.items()]
+
+
+def contents(bag):
+    """Messages, channels and schemas of a bag of one file."""
+    (path,) = bag.glob("*.mcap")
+    with path.open("rb") as stream:
+        found = list(make_reader(stream).iter_messages(log_time_order=False))
+    channels = {c.topic: (c.metadata, c.message_encoding, s) for s, c, _ in found}
+    by_topic = {topic: [] for topic in channels}
+    for schema, channel, message in found:
+        data = deserialize_message(message.data, message_class(schema.name))
+        by_topic[channel.topic].append((message.log_time, message.sequence, data))
+    return by_topic, channels
+
+
+@pytest.mark.parametrize("scenario", ["three_star", "six_bead"])
+def test_the_bag_is_the_one_that_the_recorder_writes(tmp_path, scenario):
+    with ros_harness.processes(tmp_path) as start:
+        logger = start("logger_node", output="bag")
+        simulator = start(
+            "sim_node", scenario=scenario, time_scale=0, wait_for_recorder=True, **RUN
+        )
+        assert simulator.wait(ros_harness.START_S) == 0, simulator.stderr
+        assert logger.stop() == 0, logger.stderr
+    assert straight.main([scenario, *WORDS, "--output", str(tmp_path / "own" / "bag")]) == 0
+    (recorded, channels), (own, own_channels) = map(
+        contents, (tmp_path / "bag", tmp_path / "own" / "bag")
+    )
+    assert own_channels == channels
+    (described,), (of_own,) = recorded.pop("/system_description"), own.pop("/system_description")
+    # The simulator has parameters more, of its pace and its graph.
+    theirs, ours = (json.loads(d[2].parameters_json) for d in (described, of_own))
+    assert ours.items() <= theirs.items()
+    of_own[2].parameters_json = described[2].parameters_json
+    assert of_own == described
+    assert own == recorded and len(own["/markers"]) > 100
+    whole, ours = (
+        yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        for bag in (tmp_path / "bag", tmp_path / "own" / "bag")
+    )
+    assert ours == whole
+    assert not verify(tmp_path / "own" / "bag").faults
+
+
+def test_it_needs_no_ros(tmp_path):
+    hidden = "rclpy", "tss_interfaces", "std_msgs", "ament_index_python"
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({hidden}))\n"
+        "from tss_ros.simulator.straight import main; sys.exit(main())"
+    )
+    without = {k: v for k, v in os.environ.items() if k != "AMENT_PREFIX_PATH"}
+    subprocess.run(
+        [sys.executable, "-c", program, *WORDS, "--output", tmp_path / "bag"],
+        check=True,
+        env=without,
+    )
+    recording = read_bag(tmp_path / "bag")
+    assert recording.disturbance_m == 10.0 and len(recording.step) > 500
+
+
+def test_what_was_simulated_is_kept_when_it_ends_early(tmp_path, monkeypatch):
+    monkeypatch.setattr(straight, "CHUNK_STEPS", 100)
+    setup = straight._setup(straight._parse([*WORDS, "--output", "bag"]))
+    shares = []
+    with pytest.raises(Cancelled):
+        straight.simulate(setup, 1.0, tmp_path / "bag", shares.append, lambda: len(shares) > 2)
+    assert read_bag(tmp_path / "bag").step.tolist() == list(range(201))
+    assert not verify(tmp_path / "bag").faults and shares[1] == pytest.approx(101 / 1262, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--turns", "0"], "--turns is 0; allowed: more than 0"),
+        (["--turns", "nan"], "turns is nan; allowed"),
+        (["--turns", "1", "--publish-period-s", "0"], "publish_period_s is 0.0; allowed"),
+        (["--turns", "1", "--override", "mass=3,"], "'mass=3,' must be NAME=NUMBER"),
+        (["--turn", "1", "--outputs", "x"], "did you mean '--output'"),
+    ],
+)
+def test_wrong_words_are_refused(tmp_path, capsys, words, reason):
+    with pytest.raises(SystemExit) as ended:
+        straight.main([*words, "--output", str(tmp_path / "bag")])
+    assert ended.value.code == 2 and reason in capsys.readouterr().err
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["three_stars", "--turns", "1"], "three_star"),
+        (["--turns", "1", "--override", "satellite=4"], "satellites"),
+        (["--turns", "1e6"], "allowed: at most 851237"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(tmp_path, capsys, words, reason):
+    assert straight.main([*words, "--output", str(tmp_path / "bag")]) == 1
+    assert reason in capsys.readouterr().err and not (tmp_path / "bag").exists()
+
+
+def test_a_bag_that_exists_is_left_alone(tmp_path, capsys):
+    (tmp_path / "bag").mkdir()
+    assert straight.main([*WORDS, "--output", str(tmp_path / "bag")]) == 1
+    assert "exists already" in capsys.readouterr().err
+    with pytest.raises(TssError, match="exists already"):
+        setup = straight._setup(straight._parse([*WORDS, "--output", "bag"]))
+        straight.simulate(setup, 1.0, tmp_path / "bag")

@@ -1,0 +1,198 @@
+"""Simulates straight into a bag: what the nodes would record, without them and without ROS."""
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tss_ros.bags.writer import BagWriter
+from tss_ros.command_line import Parser
+from tss_ros.core import Cancelled, Propagator, TssError
+from tss_ros.messages.steps import STATE_TOPICS, StepMessages, system_description
+from tss_ros.messages.topics import read_topics
+from tss_ros.scenarios import scenario
+from tss_ros.scenarios.parameters import RUN, TURNS, read_assignment
+from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.simulation import MAX_TIME_S, compute_states, last_index
+
+#: Most states integrated and written in one go, and most of them times beads.
+CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
+#: A file of the bag this large [B] is completed and the next one begun.
+SPLIT_BYTES = 1e9
+#: How often [s] the line that shows progress is renewed.
+PROGRESS_S = 0.2
+
+
+def simulate(
+    setup: Setup,
+    turns: float,
+    output: str | Path,
+    on_progress: Callable[[float], object] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> BagWriter:
+    """Simulate and write the bag that `logger_node` would have recorded of `sim_node`.
+
+    States are those of `sim_node`, bit for bit. All that was simulated is in the bag, and the bag
+    is complete, whatever ends it.
+
+    Parameters
+    ----------
+    setup : Setup
+    turns : float
+        Spin turns to simulate.
+    output : str or Path
+        Directory of the bag, to be made.
+    on_progress : callable, optional
+        Called with the share done.
+    cancelled : callable, optional
+        Asked again and again whether to end.
+
+    Returns
+    -------
+    BagWriter
+        It is closed.
+
+    Raises
+    ------
+    TssError
+        If the bag cannot be written, or if the motion cannot be continued.
+    Cancelled
+        If `cancelled` said so.
+    """
+    end_s = turns * setup.turn_s
+    if not end_s <= MAX_TIME_S:
+        raise TssError(
+            f"{turns:g} turns take {end_s:.4g} s; allowed: at most {MAX_TIME_S / setup.turn_s:.6g} "
+            f"turns, which is {MAX_TIME_S} s"
+        )
+    writer = BagWriter(output, os.environ.get("ROS_DISTRO", "jazzy"), split_bytes=SPLIT_BYTES)
+    try:
+        _write(setup, last_index(end_s, setup.publish_period_s), writer, on_progress, cancelled)
+    finally:
+        writer.close()
+    return writer
+
+
+def _write(setup, last, writer, on_progress, cancelled):
+    topics = {name: topic for name, topic in read_topics().items() if topic.recorded}
+    channels = {
+        name: writer.add_topic(f"/{name}", t.type, t.definition, t.type_hash, t.offered_qos)
+        for name, t in topics.items()
+    }
+    writer.notes["lost"] = "0"
+    writer.notes |= {f"lost /{name}": "0" for name in topics}
+    described = system_description(
+        setup.system, setup.spin_rate_ratio, setup.reference_radius_m, setup.options
+    )
+    writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
+    make = StepMessages(setup.system, setup.tension_n)
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
+    most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
+    first = 0
+    while first <= last:
+        if cancelled and cancelled():
+            raise Cancelled(f"stopped at state {first}")
+        states = compute_states(setup, propagator, first, min(most, last + 1 - first), cancelled)
+        columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
+        writer.write_columns(columns, states.time_ns, time.time_ns(), first + 1)
+        writer.flush()
+        first += len(states.time_ns)
+        if on_progress:
+            on_progress(first / (last + 1))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Executable `simulate`.
+
+    Returns
+    -------
+    int
+        Exit status: 0 if the bag has what was asked for, 1 if not, 2 for a wrong command line, 130
+        when interrupted.
+    """
+    options = _parse(sys.argv[1:] if argv is None else argv)
+    stopped = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    show = _Progress() if sys.stderr.isatty() else None
+    begun = time.monotonic()
+    try:
+        writer = simulate(_setup(options), options.turns, options.output, show, stopped.is_set)
+    except Cancelled:
+        print(f"\nsimulate: interrupted; {options.output} has what there was", file=sys.stderr)
+        return 130
+    except (TssError, OSError) as error:
+        print(f"simulate: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if show and show.shown:
+            print(file=sys.stderr)
+    print(f"{writer.path}: {writer.message_count} messages in {time.monotonic() - begun:.2f} s")
+    return 0
+
+
+def _setup(options):
+    overrides = dict(options.override)
+    loaded = scenario.load(options.scenario)
+    system = loaded.build(overrides)
+    given = {p.name: p.check(getattr(options, p.name)) for p in RUN}
+    ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
+    said = {"scenario": options.scenario, **overrides, **given}
+    return Setup.of(said, system, ratio, loaded.start(system))
+
+
+class _Progress:
+    """The line on a terminal that says how far a simulation is."""
+
+    def __init__(self):
+        self.shown, self._begun, self._last = False, time.monotonic(), 0.0
+
+    def __call__(self, share):
+        now = time.monotonic()
+        if now - self._last < PROGRESS_S:
+            return
+        self.shown, self._last = True, now
+        left_s = (now - self._begun) * (1.0 / share - 1.0)
+        print(f"\r{share:.0%}, {left_s:.0f} s left\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _parse(arguments):
+    parser = Parser(
+        prog="simulate", description="Simulate straight into a bag, without nodes and without ROS."
+    )
+    parser.add_argument(
+        "scenario", nargs="?", default="three_star", help="shipped name or file (three_star)"
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="the bag, to be made"
+    )
+    for parameter in RUN:
+        needed = parameter is TURNS
+        default = "" if needed else f" Default: {parameter.default:g}"
+        parser.add_argument(
+            f"--{parameter.name.replace('_', '-')}", type=parameter.type, metavar="NUMBER",
+            required=needed, default=parameter.default, help=parameter.text + default,
+        )  # fmt: skip
+    parser.add_argument(
+        "--override", nargs="+", action="extend", default=[], type=_override, metavar="NAME=VALUE",
+        help="a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
+    )  # fmt: skip
+    options = parser.parse_args(arguments)
+    for parameter in RUN:
+        try:
+            parameter.check(getattr(options, parameter.name))
+        except TssError as error:
+            parser.error(str(error))
+    if not options.turns > 0.0:
+        parser.error(f"--turns is {options.turns:g}; allowed: more than 0")
+    return options
+
+
+def _override(text):
+    try:
+        return read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
