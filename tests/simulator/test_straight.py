@@ -85,8 +85,8 @@ def test_what_was_simulated_is_kept_when_it_ends_early(tmp_path, monkeypatch):
     shares = []
     with pytest.raises(Cancelled):
         straight.simulate(setup, 1.0, tmp_path / "bag", shares.append, lambda: len(shares) > 2)
-    assert read_bag(tmp_path / "bag").step.tolist() == list(range(201))
-    assert not verify(tmp_path / "bag").faults and shares[1] == pytest.approx(101 / 1262, abs=1e-3)
+    assert read_bag(tmp_path / "bag").step.tolist() == list(range(300))
+    assert not verify(tmp_path / "bag").faults and shares[1] == pytest.approx(200 / 1262, abs=1e-3)
 
 
 @pytest.mark.parametrize(
