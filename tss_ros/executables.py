@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 
 #: Executables of `ros2 run`, and the functions behind them.
@@ -27,6 +28,9 @@ EXECUTABLES = {
     "summary": "bags.commands:summary",
     "plot": "bags.commands:plot",
     "export": "bags.commands:export",
+    "compile": "runs.tools:compile_kernels",
+    "bench": "runs.tools:bench",
+    "completion": "runs.tools:completion",
 }
 
 
@@ -58,14 +62,35 @@ def run(name: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         status = 0 if is_node else 128 + number
         before[number] = signal.signal(number, lambda *_, status=status: os._exit(status))
+    _show_warnings_as_lines(name)
     module, _, function = EXECUTABLES[name].partition(":")
-    main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
-    if is_node:
-        return main()
-    for number, handler in before.items():
-        signal.signal(number, handler)
     try:
+        main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
+        if is_node:
+            return main()
+        for number, handler in before.items():
+            signal.signal(number, handler)
         return main()
+    except ModuleNotFoundError as error:
+        from tss_ros.extras import advice
+
+        if not (words := advice(error)):
+            raise
+        print(f"{name}: {words}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
+
+
+def _show_warnings_as_lines(name):
+    """Show the package's own warnings as its errors are shown, others as Python does."""
+    shown_by_python = warnings.showwarning
+
+    def show(message, category, *place):
+        if category.__module__.startswith("tss_ros."):
+            print(f"{name}: warning: {message}", file=sys.stderr)
+        else:
+            shown_by_python(message, category, *place)
+
+    warnings.showwarning = show

@@ -20,6 +20,8 @@ import pytest
 from packaging.markers import default_environment
 from packaging.requirements import Requirement
 
+from tss_ros.executables import EXECUTABLES
+
 ROOT = Path(__file__).resolve().parents[2]
 ROS2 = ROOT / "setup_tools" / "ros2"
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
@@ -76,9 +78,9 @@ def read_lock(name, python):
 
 @pytest.mark.parametrize("python", PYTHONS)
 def test_lock_covers_what_the_package_requires(python):
-    pins = {name.lower(): version for name, version in read_lock("docs.txt", python).items()}
-    for name, version in read_lock("python.txt", python).items():
-        pins[name.lower()] = version
+    pins = {}
+    for lock in ("docs.txt", "ros.txt", "python.txt"):
+        pins |= {name.lower(): version for name, version in read_lock(lock, python).items()}
     requirements = [Requirement(line) for line in importlib.metadata.requires("tss_ros")]
     names = {requirement.name for requirement in requirements}
     assert {"numpy", "mcap", "pytest", "sphinx"} <= names
@@ -98,7 +100,7 @@ def test_versions_and_executables_agree():
     package = ElementTree.parse(ROOT / "package.xml").getroot()
     assert package.findtext("version") == importlib.metadata.version("tss_ros")
     scripts = importlib.metadata.distribution("tss_ros").entry_points
-    assert {"sim_node", "stability_node", "logger_node", "demo"} <= scripts.names
+    assert scripts.names == EXECUTABLES.keys()
     for script in scripts:
         assert callable(script.load())
         assert os.access(ROOT / "install/tss_ros/lib/tss_ros" / script.name, os.X_OK)

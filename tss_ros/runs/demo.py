@@ -57,7 +57,9 @@ def make(output: Path, caught: list[int]) -> None:
         fresh.mkdir()
         system = scenario.load(SCENARIO).build({})
         turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(SPIN_RATE_RATIO))
+        print("starting sim_node, logger_node and stability_node", flush=True)
         recording, results = _run_nodes(fresh, Path(scratch), turn_s, caught)
+        print("drawing what was recorded", flush=True)
         for draw in (_save_trajectories, _save_deviation, _save_review):
             if caught:
                 raise KeyboardInterrupt
