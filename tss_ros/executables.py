@@ -32,6 +32,9 @@ EXECUTABLES = {
     "bench": "runs.tools:bench",
     "completion": "runs.tools:completion",
 }
+#: Those that work where there is no ROS 2.
+WITHOUT_ROS = {"sweep", "follow", "review", "recover", "verify", "summary", "plot", "export"}
+WITHOUT_ROS |= {"compile", "bench", "completion"}
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -65,6 +68,8 @@ def run(name: str) -> int:
     _show_warnings_as_lines(name)
     module, _, function = EXECUTABLES[name].partition(":")
     try:
+        if name not in WITHOUT_ROS:
+            importlib.import_module("rclpy")  # its absence is what to speak of first
         main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
         if is_node:
             return main()
