@@ -29,17 +29,18 @@ def compile_kernels(argv: Sequence[str] | None = None) -> int:
     parser.parse_args(argv)
     from tss_ros.core import compile_cache
 
-    begun = shown = time.monotonic()
+    begun, shown, terminal = time.monotonic(), 0.0, sys.stdout.isatty()
 
     def show(share: float) -> None:
         nonlocal shown
         if time.monotonic() - shown > SHOW_S:
             shown = time.monotonic()
-            print(f"compiling: {100 * share:.0f} %", flush=True)
+            line = f"compiling: {100 * share:.0f} %"
+            print(f"\r\033[K{line}" if terminal else line, end="" if terminal else "\n", flush=True)
 
     compiled = compile_cache.main(show)
     words = f"compiled in {time.monotonic() - begun:.0f} s" if compiled else "compiled already"
-    print(words)
+    print(f"\r\033[K{words}" if terminal else words)
     return 0
 
 
