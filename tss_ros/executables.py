@@ -90,11 +90,13 @@ def run(name: str) -> int:
 
 def _show_warnings_as_lines(name):
     """Show the package's own warnings as its errors are shown, others as Python does."""
-    shown_by_python = warnings.showwarning
+    shown_by_python, seen = warnings.showwarning, set()
 
     def show(message, category, *place):
         if category.__module__.startswith("tss_ros."):
-            print(f"{name}: warning: {message}", file=sys.stderr)
+            if str(message) not in seen:  # Python knows them by the line of code as well
+                print(f"{name}: warning: {message}", file=sys.stderr)
+            seen.add(str(message))
         else:
             shown_by_python(message, category, *place)
 

@@ -97,13 +97,19 @@ def test_what_is_meant_is_not_warned_of(tmp_path):
             load(tmp_path, text)
 
 
-def test_a_command_warns_in_one_line(tmp_path):
+SIMULATED = "--ros-args -p scenario:=low.yaml -p turns:=0.1 -p time_scale:=0.0"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("sweep", "low.yaml --rates -3 -3 1"), ("sim", SIMULATED)]
+)
+def test_a_command_warns_in_one_line(tmp_path, name, words):
     (tmp_path / "low.yaml").write_text(RING + "orbit_altitude_m: 1000\n")
-    command = [sys.executable, "-m", "tss_ros", "sweep", "low.yaml", "--rates", "-3", "-3", "1"]
+    command = [sys.executable, "-m", "tss_ros", name, *words.split()]
     shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert shown.returncode == 0, shown.stderr
-    (line,) = [line for line in shown.stderr.splitlines() if "low.yaml" in line]
-    assert line.startswith("sweep: warning: scenario 'low.yaml': orbit_altitude_m is 1000")
+    (line,) = [line for line in shown.stderr.splitlines() if "warning" in line]
+    assert "warning: scenario 'low.yaml': orbit_altitude_m is 1000" in line
 
 
 def test_a_scenario_of_every_shape_is_shipped_and_moves():
