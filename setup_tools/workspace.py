@@ -138,8 +138,8 @@ def say(text):
 class Step:
     """A part of the set-up: commands one after the other, their output in a log.
 
-    `commands` is a generator of commands. Each is answered with its exit status; StepFailed ends
-    it.
+    `commands` is a generator of commands, alone or with what their environment has besides. Each
+    is answered with its exit status; StepFailed ends it.
     `expected_s` is how long it takes on two cores, by which the share of the whole is told.
     `share` tells how far it is, from 0 to 1.
     """
@@ -163,10 +163,11 @@ class Step:
         except StopIteration:
             self._took_s = time.time() - self._begun
         else:
+            command, more = command if isinstance(command, tuple) else (command, {})
             with open(self.log_path, "ab") as log:
                 self._process = subprocess.Popen(
-                    command, cwd=ROOT, env=self._env, stdin=subprocess.DEVNULL, stdout=log,
-                    stderr=log,
+                    command, cwd=ROOT, env={**self._env, **more}, stdin=subprocess.DEVNULL,
+                    stdout=log, stderr=log,
                 )  # fmt: skip
 
     def poll(self):
@@ -322,9 +323,10 @@ def install_packages(ros):
         everything += ["-r", lock]
     # beside a ROS install, packages of the system do not count, which is what pip alone can be told
     if ros is None and (yield [*pip, UV]) == 0:
-        uv = ["env", *uv_settings(pip_settings()), VENV / "bin" / "uv", "pip", "install"]
-        uv += ["--no-progress", "--no-deps", "--python", VENV / "bin" / "python"]
-        installed = (yield [*uv, *setuptools]) == 0 and (yield [*uv, *everything]) == 0
+        uv = [VENV / "bin" / "uv", "pip", "install", "--no-progress", "--no-deps"]
+        uv += ["--python", VENV / "bin" / "python"]
+        more = uv_settings(pip_settings())
+        installed = (yield [*uv, *setuptools], more) == 0 and (yield [*uv, *everything], more) == 0
     else:
         installed = False
     if not installed:
@@ -347,8 +349,8 @@ def pip_settings():
 
 
 def uv_settings(settings):
-    """Return "NAME=value" for uv from pip's settings, which it does not read itself."""
-    found = {"UV_INDEX_STRATEGY": ["unsafe-best-match"]}  # as pip: all indexes count alike
+    """Return an environment for uv from pip's settings, which it does not read itself."""
+    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # as pip: all indexes count alike
     for name, separator, variable in (
         ("index-url", " ", "UV_DEFAULT_INDEX"),
         ("extra-index-url", " ", "UV_INDEX"),
@@ -359,10 +361,10 @@ def uv_settings(settings):
         ("timeout", " ", "UV_HTTP_TIMEOUT"),
     ):
         if settings.get(name):
-            found[variable] = [separator.join(settings[name])]
+            found[variable] = separator.join(settings[name])
     if settings.get("no-index", ["0"])[0].lower() in ("1", "true", "yes", "on"):
-        found["UV_NO_INDEX"] = ["1"]
-    return [f"{name}={value}" for name, (value,) in found.items() if name not in os.environ]
+        found["UV_NO_INDEX"] = "1"
+    return {name: value for name, value in found.items() if name not in os.environ}
 
 
 def correct_exported_paths():
