@@ -18,7 +18,7 @@ setup:
 	@setup_tools/setup make
 
 demo: setup
-	@. ./activate && exec ros2 run tss_ros demo
+	@. ./activate && echo 'tss_ros: loading the demo' && exec ros2 run tss_ros demo
 
 reproduce: setup
 	@. ./activate && exec ros2 run tss_ros reproduce
