@@ -18,7 +18,7 @@ setup:
 	@setup_tools/setup make
 
 demo: setup
-	@. ./activate && exec ros2 run tss_ros demo
+	@. ./activate && echo 'tss_ros: loading the demo' && exec ros2 run tss_ros demo
 
 reproduce: setup
 	@. ./activate && exec ros2 run tss_ros reproduce
@@ -38,7 +38,7 @@ docs: setup
 UV = uv pip compile --quiet --upgrade --universal --python-version 3.10 --no-annotate \
 	--no-emit-index-url --custom-compile-command 'make lock'
 lock:
-	$(UV) setup.py --extra test --extra dev --extra cluster -o requirements/python.txt
+	$(UV) setup.py --extra test --extra dev --extra all -o requirements/python.txt
 	$(UV) requirements/ros.in -c requirements/python.txt -o requirements/ros.txt
 	$(UV) requirements/benchmarks.in -c requirements/python.txt -o requirements/benchmarks.txt
 	# Sphinx bears older versions of these two only, and comes into a folder of its own

@@ -1,12 +1,11 @@
 """One command that measures everything: `make benchmarks`, or in an activated shell
 
-    python -m benchmarks [--only motion ensemble monodromy growth sweep middleware recording]
+    tss bench [--only motion ensemble monodromy growth sweep middleware recording]
 
 writes benchmarks.json, benchmarks.md and benchmarks.png; sections that are not measured now keep
 what benchmarks.json says of them.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -18,6 +17,7 @@ from pathlib import Path
 from benchmarks import problems, report
 from benchmarks.processes import ROOT, environment, machine, measured, peers_python
 from benchmarks.worker import solvers_of
+from tss_ros.command_line import Parser
 
 SECTIONS = ("motion", "ensemble", "monodromy", "growth", "sweep", "middleware", "recording")
 #: Case whose first answer in a fresh process is measured, and by whom.
@@ -95,9 +95,7 @@ def section(name, python, options):
 
 def main():
     """Measure the sections asked for, and write the three files after each."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks", description=__doc__.splitlines()[0]
-    )
+    parser = Parser(prog="bench", description="Measure everything beside public solvers.")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS)
     parser.add_argument("--cases", nargs="+", choices=problems.CASES, metavar="CASE")
     parser.add_argument("--solvers", nargs="+", metavar="NAME", help="of the tables' names")

@@ -13,7 +13,6 @@ import importlib
 import io
 import os
 import re
-import runpy
 import sys
 import tokenize
 from dataclasses import dataclass
@@ -350,29 +349,33 @@ def interfaces():
 # ---------------------------------------------------------------- commands, scenarios
 
 
-def executables():
-    """Name and place of every executable."""
-    return runpy.run_path(str(PACKAGE / "executables.py"))["EXECUTABLES"]
-
-
 def commands():
-    """What each command line tool prints for --help."""
+    """What each command prints for --help; nodes have pages of their own."""
+    from tss_ros import command_line
+    from tss_ros.__main__ import COMMANDS
+    from tss_ros.executables import EXECUTABLES
+
     text = ""
-    for name, place in executables().items():
-        if name.endswith("_node"):
-            continue
-        module, function = place.split(":")
-        main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
-        with (
-            mock.patch.object(sys, "argv", [name, "--help"]),
-            mock.patch.dict(os.environ, COLUMNS="84", NO_COLOR="1"),
-            contextlib.redirect_stdout(io.StringIO()) as out,
-            contextlib.suppress(SystemExit),
-        ):
-            main()
-        if not out.getvalue().startswith("usage:"):
-            raise ValueError(f"{name} --help says nothing")
-        text += f"\n## {name}\n\n    ros2 run tss_ros {name}\n\n```text\n{out.getvalue()}```\n"
+    for group, entries in COMMANDS.items():
+        text += f"\n## {group}\n"
+        for name, (executable, about) in entries.items():
+            if executable.endswith("_node"):
+                text += f"\n### tss {name}\n\nRuns [{executable}](nodes.md): {about}.\n"
+                continue
+            module, function = EXECUTABLES[executable].split(":")
+            main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
+            shown_as = {executable: f"tss {name}"}
+            with (
+                mock.patch.object(sys, "argv", [name, "--help"]),
+                mock.patch.dict(os.environ, COLUMNS="84", NO_COLOR="1"),
+                mock.patch.dict(command_line.SHOWN_AS, shown_as),
+                contextlib.redirect_stdout(io.StringIO()) as out,
+                contextlib.suppress(SystemExit),
+            ):
+                main()
+            if not out.getvalue().startswith(f"usage: tss {name}"):
+                raise ValueError(f"{name} --help says nothing")
+            text += f"\n### tss {name}\n\n```text\n{out.getvalue()}```\n"
     return text
 
 

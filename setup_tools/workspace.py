@@ -26,6 +26,9 @@ PACKAGES_STAMP = VENV / ".stamp-packages"
 BUILD_STAMP = ROOT / "install" / ".stamp-build"
 WARM_STAMP = VENV / ".stamp-warm"
 
+#: The installer that is asked for first.
+UV = "uv>=0.5,<1"
+
 
 class SetupError(Exception):
     """The workspace cannot be made here; the message says in one line what to do about it."""
@@ -118,7 +121,7 @@ def wanted_stamps(ros):
     build = fingerprint(packages, *names, *sources)
     # numba, too, knows a source file by its time and size
     core = [(path, path.stat()) for path in sorted((ROOT / "tss_ros" / "core").rglob("*.py"))]
-    warm = fingerprint(build, *(f"{path} {s.st_mtime_ns} {s.st_size}" for path, s in core))
+    warm = fingerprint(packages, *(f"{path} {s.st_mtime_ns} {s.st_size}" for path, s in core))
     return [(PACKAGES_STAMP, packages), (BUILD_STAMP, build), (WARM_STAMP, warm)]
 
 
@@ -132,33 +135,138 @@ def say(text):
     print("tss_ros: " + text, flush=True)
 
 
-def run(title, log_name, commands, env):
-    """Run commands one after the other, output into a log; show now and then where they are."""
-    log_path = ROOT / "log" / log_name
-    log_path.parent.mkdir(exist_ok=True)
-    start = time.monotonic()
-    say(title)
-    with open(log_path, "wb") as log:
-        for command in commands:
-            process = subprocess.Popen(
-                command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=log, stderr=log
-            )
-            while process.poll() is None:
-                try:
-                    process.wait(timeout=10)
-                except subprocess.TimeoutExpired:
-                    line = log_path.read_text(errors="replace").rstrip().rpartition("\n")[2]
-                    say(f"  {time.monotonic() - start:3.0f} s  {line.strip()[:80]}".rstrip())
-            if process.returncode != 0:
-                print(log_path.read_text(errors="replace")[-3000:], file=sys.stderr)
-                raise SetupError(f"{title} failed; its whole output is in {log_path}")
-    say(f"  {time.monotonic() - start:3.0f} s  done")
+class Step:
+    """A part of the set-up: commands one after the other, their output in a log.
+
+    `commands` is a generator of commands, alone or with what their environment has besides. Each
+    is answered with its exit status; StepFailed ends it.
+    `expected_s` is how long it takes on two cores, by which the share of the whole is told.
+    `share` tells how far it is, from 0 to 1.
+    """
+
+    def __init__(self, title, log_name, expected_s, commands, share):
+        self.title, self.expected_s = title, expected_s
+        self.log_path = ROOT / "log" / log_name
+        self._commands, self._share, self._process = commands, share, None
+        self._begun = self._took_s = None
+
+    def begin(self, env):
+        """Start the first command."""
+        self.log_path.parent.mkdir(exist_ok=True)
+        self._env, self._begun = env, time.time()
+        self.log_path.write_bytes(b"")
+        self._next(None)
+
+    def _next(self, status):
+        try:
+            command = next(self._commands) if status is None else self._commands.send(status)
+        except StopIteration:
+            self._took_s = time.time() - self._begun
+        else:
+            command, more = command if isinstance(command, tuple) else (command, {})
+            with open(self.log_path, "ab") as log:
+                self._process = subprocess.Popen(
+                    command, cwd=ROOT, env={**self._env, **more}, stdin=subprocess.DEVNULL,
+                    stdout=log, stderr=log,
+                )  # fmt: skip
+
+    def poll(self):
+        """Go on with the next command where one has ended; tell whether all have."""
+        try:
+            if not self.ended and self._process.poll() is not None:
+                self._next(self._process.returncode)
+        except StepFailed:
+            print(self.log_path.read_text(errors="replace")[-3000:], file=sys.stderr)
+            raise SetupError(
+                f"{self.title} failed; the whole output is in {self.log_path}"
+            ) from None
+        return self.ended
+
+    @property
+    def ended(self):
+        """Whether all commands have ended well."""
+        return self._took_s is not None
+
+    def share(self):
+        """Tell how far it is, from 0 to 1."""
+        if self._begun is None or self.ended:
+            return float(self.ended)
+        return min(0.99, self._share(self.log_path.read_text(errors="replace"), self._begun))
+
+    def state(self):
+        """Tell in words how far it is."""
+        if self.ended:
+            return f"{self.title} done in {self._took_s:.0f} s"
+        return f"{self.title} {100 * self.share():.0f} %"
+
+    def stop(self):
+        """End what still runs."""
+        if self._process and self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait()
+
+
+class StepFailed(Exception):
+    """A command of a step has failed, and nothing can stand in for it."""
+
+
+def demand(status):
+    """Raise StepFailed unless a command has ended well."""
+    if status != 0:
+        raise StepFailed
+
+
+class Progress:
+    """Shows how far all steps are together, and how long they may still take."""
+
+    #: [s] between two lines, and between two states of a terminal's line.
+    LINE_S, TERMINAL_S = 2.5, 0.5
+
+    def __init__(self, steps):
+        self._steps, self._begun, self._shown = steps, time.monotonic(), 0.0
+        self._terminal = sys.stdout.isatty()
+
+    def show(self, running, now=False):
+        """Show the steps that run, if it is time to."""
+        clock = time.monotonic()
+        if not now and clock - self._shown < (self.TERMINAL_S if self._terminal else self.LINE_S):
+            return
+        self._shown = clock
+        states = ", ".join(step.state() for step in running)
+        done = sum(step.expected_s * step.share() for step in self._steps)
+        total = sum(step.expected_s for step in self._steps)
+        left = total - done
+        if done > 0.1 * total:  # before, what is expected says more than what was seen
+            left *= (clock - self._begun) / done
+        line = f"tss_ros: {100 * done / total:3.0f} %, about {left:.0f} s left: {states}"
+        if self._terminal:
+            line = "\r\033[K" + line[: shutil.get_terminal_size().columns - 1]
+        print(line, end="", flush=True)
+        if now or not self._terminal:
+            print(flush=True)
+
+
+def carry_out(steps, progress, env):
+    """Carry out steps side by side."""
+    try:
+        for step in steps:
+            step.begin(env)
+        while sum(step.poll() for step in steps) < len(steps):
+            progress.show(steps)
+            time.sleep(0.1)
+        if steps:
+            progress.show(steps, now=True)
+    finally:
+        for step in steps:
+            step.stop()
 
 
 def environment(ros):
     """Return the environment in which the tools of .venv install and build."""
     left_out = ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")
     env = {name: value for name, value in os.environ.items() if name not in left_out}
+    # without this, colcon has make wait while other work keeps the machine busy
+    env["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
     env["VIRTUAL_ENV"] = str(VENV)
     env["PYTHONUNBUFFERED"] = "1"  # so that logs show at once how far things are
     env["PATH"] = os.pathsep.join([str(VENV / "bin"), env.get("PATH", os.defpath)])
@@ -167,30 +275,96 @@ def environment(ros):
     return env
 
 
+def packages(ros):
+    """The step that makes .venv afresh from the lock files."""
+    return Step("packages", "packages.log", 25, install_packages(ros), packages_share(ros))
+
+
+def packages_share(ros):
+    """Return how far the installation is: packages fetched, then those in .venv."""
+    wanted = sum(line[:1].isalnum() for lock in locks(ros) for line in lock.open())
+
+    def share(log, begun):
+        fetched = max(log.count("Collecting "), count_new(uv_cache(), begun))
+        there = sum(1 for _ in VENV.glob("lib/python3*/site-packages/*.dist-info"))
+        return (0.7 * min(fetched, wanted) + 0.3 * there) / wanted
+
+    return share
+
+
+def uv_cache():
+    """Return where uv keeps the packages that it has fetched."""
+    caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(os.environ.get("UV_CACHE_DIR") or Path(caches, "uv")) / "archive-v0"
+
+
+def count_new(folder, since):
+    """Return how many entries of a folder are newer than a time."""
+    try:
+        return sum(entry.stat().st_mtime >= since for entry in os.scandir(folder))
+    except OSError:
+        return 0
+
+
 def install_packages(ros):
-    """Make .venv afresh from the lock files."""
+    """Install by uv where the package index has it, else by pip, which takes three times longer."""
     # what was built against the old packages is of no use with the new ones
     for folder in ("build", "install"):
         shutil.rmtree(ROOT / folder, ignore_errors=True)
     create = [os.path.realpath(sys.executable), "-m", "venv", "--clear", VENV]
     if ros:
         create.append("--system-site-packages")
+    demand((yield create))
     pip = [VENV / "bin" / "python", "-m", "pip", "install", "--no-deps", "--progress-bar", "off"]
     # empy 3 is published as source only, which the locked setuptools builds
-    setuptools = [*pip, "-c", locks(ros)[0], "setuptools"]
-    # beside a ROS install, packages of the system do not count: their programs are not in .venv/bin
-    packages = [*pip, "--ignore-installed", "--only-binary", ":all:"]
-    packages += ["--no-binary", "empy", "--no-build-isolation"]
+    setuptools = ["-c", locks(ros)[0], "setuptools"]
+    everything = ["--only-binary", ":all:", "--no-binary", "empy", "--no-build-isolation"]
     for lock in locks(ros):
-        packages += ["-r", lock]
-    run(
-        "installing the locked Python packages into .venv",
-        "packages.log",
-        [create, setuptools, packages],
-        environment(ros),
-    )
+        everything += ["-r", lock]
+    # beside a ROS install, packages of the system do not count, which is what pip alone can be told
+    if ros is None and (yield [*pip, UV]) == 0:
+        uv = [VENV / "bin" / "uv", "pip", "install", "--no-progress", "--no-deps"]
+        uv += ["--python", VENV / "bin" / "python"]
+        more = uv_settings(pip_settings())
+        installed = (yield [*uv, *setuptools], more) == 0 and (yield [*uv, *everything], more) == 0
+    else:
+        installed = False
+    if not installed:
+        demand((yield [*pip, *setuptools]))
+        demand((yield [*pip, "--ignore-installed", *everything]))
     if ros is None:
         correct_exported_paths()
+
+
+def pip_settings():
+    """Return pip's settings by name; those of the environment count most."""
+    command = [VENV / "bin" / "python", "-m", "pip", "config", "list"]
+    listed = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False).stdout
+    settings, of_environment = {}, {}
+    for line in listed.splitlines():
+        name, _, value = line.partition("=")
+        where = of_environment if name.startswith(":env:") else settings
+        where[name.rpartition(".")[2]] = value.strip("'\"").replace("\\n", " ").split()
+    return {**settings, **of_environment}
+
+
+def uv_settings(settings):
+    """Return an environment for uv from pip's settings, which it does not read itself."""
+    found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # as pip: all indexes count alike
+    for name, separator, variable in (
+        ("index-url", " ", "UV_DEFAULT_INDEX"),
+        ("extra-index-url", " ", "UV_INDEX"),
+        ("find-links", ",", "UV_FIND_LINKS"),
+        ("trusted-host", " ", "UV_INSECURE_HOST"),
+        ("cert", " ", "SSL_CERT_FILE"),
+        ("default-timeout", " ", "UV_HTTP_TIMEOUT"),
+        ("timeout", " ", "UV_HTTP_TIMEOUT"),
+    ):
+        if settings.get(name):
+            found[variable] = separator.join(settings[name])
+    if settings.get("no-index", ["0"])[0].lower() in ("1", "true", "yes", "on"):
+        found["UV_NO_INDEX"] = "1"
+    return {name: value for name, value in found.items() if name not in os.environ}
 
 
 def correct_exported_paths():
@@ -205,11 +379,29 @@ def correct_exported_paths():
         for pattern, replacement in replacements.items():
             corrected = re.sub(pattern, replacement, corrected)
         if corrected != text:
+            path.unlink()  # uv has it linked to its cache
             path.write_text(corrected)
 
 
-def build_packages(ros):
-    """Build tss_interfaces and tss_ros; tss_ros is linked, so that edits need no new build."""
+def interfaces(ros):
+    """The step that builds tss_interfaces and tss_ros."""
+    return Step("interfaces", "build.log", 60, build_packages(), build_share)
+
+
+def build_share(log, begun):
+    """Return how far CMake's packages are, by the logs that colcon keeps of each."""
+    shares = []
+    for cmake in (ROOT / "msg_configs").glob("*/CMakeLists.txt"):
+        path = ROOT / "log" / "latest_build" / cmake.parent.name / "stdout.log"
+        new = path.is_file() and path.stat().st_mtime >= begun
+        text = path.read_text(errors="replace") if new else ""
+        percent = re.findall(r"^\[ *(\d+)%\]", text, re.M)
+        shares.append(float(percent[-1]) / 100 if percent else 0.0)
+    return sum(shares) / len(shares)
+
+
+def build_packages():
+    """Build all packages; tss_ros is linked, so that edits need no new build."""
     for folder in (ROOT / "build", ROOT / "install"):  # colcon stumbles over links to what is gone
         for path in folder.rglob("*"):
             if path.is_symlink() and not path.exists():
@@ -223,16 +415,25 @@ def build_packages(ros):
         "msg_configs",
     ]
     colcon += ["--event-handlers", "console_direct+", "--cmake-args"]
-    colcon += ["-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"]
-    run("building tss_interfaces and tss_ros", "build.log", [colcon], environment(ros))
+    colcon += ["-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF", "-DWITHOUT_CPP=ON"]
+    demand((yield colcon))
 
 
-def warm_cache(ros):
-    """Compile the core ahead of its first use, into numba's cache beside the sources."""
-    core = ROOT / "tss_ros" / "core"
-    if (core / "compile_cache.py").is_file():
-        warm = [VENV / "bin" / "python", "-m", "tss_ros.core.compile_cache"]
-        run("compiling the numerical core", "warm.log", [warm], environment(ros))
+def kernels(ros):
+    """The step that compiles the core ahead of its first use, into numba's cache."""
+    return Step("kernels", "kernels.log", 60, compile_kernels(), kernels_share)
+
+
+def kernels_share(log, begun):
+    """Return how far the kernels are, from what their compilation prints."""
+    percent = re.findall(r"(\d+) %", log)
+    return float(percent[-1]) / 100 if percent else 0.0
+
+
+def compile_kernels():
+    """Compile the numerical core, where there is one."""
+    if (ROOT / "tss_ros" / "core" / "compile_cache.py").is_file():
+        demand((yield [VENV / "bin" / "python", "-m", "tss_ros.core.compile_cache"]))
 
 
 def place_minimal_ros2(environ):
@@ -247,6 +448,24 @@ def place_minimal_ros2(environ):
             target.unlink()
     elif not target.exists() or (ours and target.read_bytes() != source.read_bytes()):
         shutil.copy(source, target)
+
+
+def make_workspace(ros):
+    """Carry out the steps that are due: first the packages, then what they are needed for."""
+    due = [
+        (make(ros), *stamp)
+        for make, stamp in zip((packages, interfaces, kernels), wanted_stamps(ros))
+        if not is_current(*stamp)
+    ]
+    progress = Progress([step for step, _, _ in due])
+    first = [entry for entry in due if entry[1] == PACKAGES_STAMP]
+    for together in (first, [entry for entry in due if entry not in first]):
+        try:
+            carry_out([step for step, _, _ in together], progress, environment(ros))
+        finally:  # one may have come to its end when the other failed
+            for step, stamp, content in together:
+                if step.ended:
+                    stamp.write_text(content)
 
 
 def main(occasion):
@@ -265,11 +484,7 @@ def main(occasion):
         say("Python {}.{}, ROS 2 Jazzy {}".format(*sys.version_info[:2], source))
         checkout = os.open(ROOT, os.O_RDONLY)
         fcntl.flock(checkout, fcntl.LOCK_EX)  # another shell may be at work here
-        steps = (install_packages, build_packages, warm_cache)
-        for step, (stamp, content) in zip(steps, wanted_stamps(ros)):
-            if not is_current(stamp, content):
-                step(ros)
-                stamp.write_text(content)
+        make_workspace(ros)
         os.close(checkout)
     place_minimal_ros2(os.environ)
 

@@ -2,10 +2,23 @@
 
 import argparse
 import difflib
+import os
 import re
+import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
+
+#: What an executable is called in its help where it is a command of `tss`.
+SHOWN_AS: dict[str, str] = {}
+_CODES = {"bold": "1", "red": "31", "cyan": "36"}
+
+
+def painted(text: str, colour: str, stream: TextIO | None = None) -> str:
+    """A text in a colour, or bold, where a terminal shows it and nobody has set NO_COLOR."""
+    stream = stream or sys.stdout
+    plain = not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return text if plain else f"\033[{_CODES[colour]}m{text}\033[0m"
 
 
 class _ShowVersion(argparse.Action):
@@ -18,10 +31,14 @@ class _ShowVersion(argparse.Action):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that knows --version, and names the nearest word where one is wrong."""
+    """An argument parser that knows --version, and names the nearest word where one is wrong.
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    Where a shell asks what a word may go on to, it answers that.
+    """
+
+    def __init__(self, *, prog: str, **options: Any) -> None:
+        super().__init__(prog=SHOWN_AS.get(prog, prog), **options)
+        self._completing = False
         self.add_argument("--version", action=_ShowVersion, dest=argparse.SUPPRESS)
 
     def parse_args(
@@ -35,6 +52,22 @@ class Parser(argparse.ArgumentParser):
     ) -> argparse.Namespace:
         """The same where options stand between what has no name."""
         return self._checked(*self.parse_known_intermixed_args(args, namespace))
+
+    def parse_known_args(
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse what is known, and list the rest."""
+        if "_ARGCOMPLETE" in os.environ and not self._completing:
+            import argcomplete
+
+            self._completing = True
+            argcomplete.autocomplete(self)
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with status 2 and a line that says what is wrong."""
+        self.print_usage(sys.stderr)
+        self.exit(2, f"{painted(f'{self.prog}: error:', 'red', sys.stderr)} {message}\n")
 
     def _checked(self, options, unknown):
         if unknown:

@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 
 #: Executables of `ros2 run`, and the functions behind them.
@@ -28,7 +29,13 @@ EXECUTABLES = {
     "summary": "bags.commands:summary",
     "plot": "bags.commands:plot",
     "export": "bags.commands:export",
+    "compile": "runs.tools:compile_kernels",
+    "bench": "runs.tools:bench",
+    "completion": "runs.tools:completion",
 }
+#: Those that work where there is no ROS 2.
+WITHOUT_ROS = {"sweep", "follow", "review", "recover", "verify", "summary", "plot", "export"}
+WITHOUT_ROS |= {"compile", "bench", "completion", "simulate"}
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -59,14 +66,39 @@ def run(name: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         status = 0 if is_node else 128 + number
         before[number] = signal.signal(number, lambda *_, status=status: os._exit(status))
+    _show_warnings_as_lines(name)
     module, _, function = EXECUTABLES[name].partition(":")
-    main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
-    if is_node:
-        return main()
-    for number, handler in before.items():
-        signal.signal(number, handler)
     try:
+        if name not in WITHOUT_ROS:
+            importlib.import_module("rclpy")  # its absence is what to speak of first
+        main = getattr(importlib.import_module(f"tss_ros.{module}"), function)
+        if is_node:
+            return main()
+        for number, handler in before.items():
+            signal.signal(number, handler)
         return main()
+    except ModuleNotFoundError as error:
+        from tss_ros.extras import advice
+
+        if not (words := advice(error)):
+            raise
+        print(f"{name}: {words}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
+
+
+def _show_warnings_as_lines(name):
+    """Show the package's own warnings as its errors are shown, others as Python does."""
+    shown_by_python, seen = warnings.showwarning, set()
+
+    def show(message, category, *place):
+        if category.__module__.startswith("tss_ros."):
+            if str(message) not in seen:  # Python knows them by the line of code as well
+                print(f"{name}: warning: {message}", file=sys.stderr)
+            seen.add(str(message))
+        else:
+            shown_by_python(message, category, *place)
+
+    warnings.showwarning = show

@@ -1,6 +1,7 @@
 """Compiled kernels in numba's cache belong to the source that they were made of."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -54,3 +55,37 @@ def test_a_law_that_is_edited_is_compiled_anew_wherever_it_is_inlined(tmp_path):
 def test_a_kernel_that_only_kernels_call_says_so():
     with pytest.raises(TypeError, match="add can be called by compiled code only"):
         loops.add(np.zeros((2, 2)), 1.0, np.ones((2, 2)))
+
+
+FIRST_RESULT = """
+from numba.core import event
+from tss_ros.core import compute_floquet, ring
+with event.install_recorder("numba:compile") as recorded:
+    verdict = compute_floquet(ring(), -2.5).verdict
+print(verdict)
+print(*{e.data["dispatcher"].py_func.__name__ for _, e in recorded.buffer})
+"""
+
+
+@pytest.mark.long
+def test_the_integrator_is_compiled_once_by_two_processes_and_a_line_says_so(tmp_path):
+    surroundings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+
+    def start():
+        return subprocess.Popen(
+            [sys.executable, "-c", FIRST_RESULT], env=surroundings, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    both = [start(), start()]
+    answers = [process.communicate(timeout=600) for process in both]
+    assert [out.splitlines()[0] for out, _ in answers] == ["asymptotically stable"] * 2
+    compiled = [set(out.splitlines()[1].split()) for out, _ in answers]
+    (said,) = [i for i, (_, errors) in enumerate(answers) if errors]
+    assert re.fullmatch(r"tss_ros: compiling once, about \d+ s\n", answers[said][1])
+    assert {"explicit_step", "advance"} <= compiled[said]
+    assert not {"explicit_step", "advance"} & compiled[1 - said]
+    if len(os.sched_getaffinity(0)) > 1:
+        assert "implicit_step" not in compiled[said]
+    out, errors = start().communicate(timeout=60)
+    assert out == "asymptotically stable\n\n" and errors == ""

@@ -20,6 +20,8 @@ import pytest
 from packaging.markers import default_environment
 from packaging.requirements import Requirement
 
+from tss_ros.executables import EXECUTABLES
+
 ROOT = Path(__file__).resolve().parents[2]
 ROS2 = ROOT / "setup_tools" / "ros2"
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
@@ -76,9 +78,9 @@ def read_lock(name, python):
 
 @pytest.mark.parametrize("python", PYTHONS)
 def test_lock_covers_what_the_package_requires(python):
-    pins = {name.lower(): version for name, version in read_lock("docs.txt", python).items()}
-    for name, version in read_lock("python.txt", python).items():
-        pins[name.lower()] = version
+    pins = {}
+    for lock in ("docs.txt", "ros.txt", "python.txt"):
+        pins |= {name.lower(): version for name, version in read_lock(lock, python).items()}
     requirements = [Requirement(line) for line in importlib.metadata.requires("tss_ros")]
     names = {requirement.name for requirement in requirements}
     assert {"numpy", "mcap", "pytest", "sphinx"} <= names
@@ -97,8 +99,10 @@ def test_the_two_locks_agree(python):
 def test_versions_and_executables_agree():
     package = ElementTree.parse(ROOT / "package.xml").getroot()
     assert package.findtext("version") == importlib.metadata.version("tss_ros")
-    scripts = importlib.metadata.distribution("tss_ros").entry_points
-    assert {"sim_node", "stability_node", "logger_node", "demo"} <= scripts.names
+    # colcon's own; pip may have left another one in the checkout
+    built = importlib.metadata.distributions(name="tss_ros", path=[str(ROOT / "build/tss_ros")])
+    scripts = next(iter(built)).entry_points
+    assert scripts.names == EXECUTABLES.keys()
     for script in scripts:
         assert callable(script.load())
         assert os.access(ROOT / "install/tss_ros/lib/tss_ros" / script.name, os.X_OK)
@@ -205,6 +209,120 @@ def test_missing_part_of_python_is_named(monkeypatch, tmp_path, module, package)
     monkeypatch.setattr(workspace.sysconfig, "get_config_var", lambda _: str(tmp_path))
     with pytest.raises(workspace.SetupError, match=f"sudo apt install python3.12-{package}$"):
         workspace.check_prerequisites(None, os.environ, (3, 12), "Linux x86_64")
+
+
+# ---------------------------------------------------------------- steps
+
+
+@pytest.fixture
+def empty_checkout(monkeypatch, tmp_path):
+    """The set-up for a checkout with nothing in it."""
+    monkeypatch.setattr(workspace, "ROOT", tmp_path)
+    monkeypatch.setattr(workspace, "VENV", tmp_path / ".venv")
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "python").symlink_to(sys.executable)
+    return tmp_path
+
+
+def told(commands):
+    alone = [command[0] if isinstance(command, tuple) else command for command in commands]
+    return [" ".join(map(str, command)) for command in alone]
+
+
+def answered(generator, *statuses):
+    """The commands of a step whose commands end with these statuses."""
+    return told([next(generator), *(generator.send(status) for status in statuses)])
+
+
+def test_packages_come_by_uv_where_it_is_to_be_had(empty_checkout):
+    steps = answered(workspace.install_packages(None), 0, 0, 0)
+    assert "-m venv --clear" in steps[0] and steps[1].endswith(workspace.UV)
+    assert "pip install --no-deps" in steps[1]
+    for step in steps[2:]:
+        assert "/bin/uv pip install" in step and "--no-deps" in step
+    assert "ros.txt" in steps[3] and "--only-binary :all: --no-binary empy" in steps[3]
+
+
+@pytest.mark.parametrize("statuses", [(0, 1), (0, 0, 1), (0, 0, 0, 2)])
+def test_packages_come_by_pip_where_uv_fails(empty_checkout, statuses):
+    steps = answered(workspace.install_packages(None), *statuses, 0)
+    assert "uv" in steps[1] and all("-m pip install" in step for step in steps[-2:])
+    assert "--ignore-installed" in steps[-1] and "ros.txt" in steps[-1]
+
+
+def test_beside_a_ros_install_packages_come_by_pip(empty_checkout, tmp_path):
+    steps = answered(workspace.install_packages(workspace.RosInstall(tmp_path, (3, 12))), 0, 0)
+    assert not [step for step in steps if "uv" in step.split("/")[-1]]
+    assert "--system-site-packages" in steps[0] and "ros.txt" not in steps[2]
+
+
+def test_what_pip_is_told_uv_is_told(monkeypatch, tmp_path):
+    (tmp_path / "pip.conf").write_text(
+        "[global]\nindex-url = https://a.example/simple\n"
+        "extra-index-url = https://b.example/simple\n    file:///c\n"
+        "find-links = /old\ncert = /cert.pem\ntrusted-host = a.example\n"
+    )
+    for name in [name for name in os.environ if name.startswith(("PIP_", "UV_", "SSL_"))]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("PIP_CONFIG_FILE", str(tmp_path / "pip.conf"))
+    monkeypatch.setenv("PIP_FIND_LINKS", "/wheels /more")
+    monkeypatch.setenv("UV_HTTP_TIMEOUT", "5")
+    settings = {**workspace.pip_settings(), "timeout": ["60"]}
+    assert workspace.uv_settings(settings) == {
+        "UV_INDEX_STRATEGY": "unsafe-best-match",
+        "UV_DEFAULT_INDEX": "https://a.example/simple",
+        "UV_INDEX": "https://b.example/simple file:///c",
+        "UV_FIND_LINKS": "/wheels,/more",
+        "SSL_CERT_FILE": "/cert.pem",
+        "UV_INSECURE_HOST": "a.example",
+    }
+
+
+def test_corrected_files_are_no_longer_those_of_uvs_cache(empty_checkout):
+    cached = empty_checkout / "cached.cmake"
+    cached.write_text('"/opt/python/cp311-cp311/include/python3.11"')
+    numpy = empty_checkout / ".venv/lib/python3.11/site-packages/numpy/_core/include"
+    numpy.mkdir(parents=True)
+    (empty_checkout / ".venv/share").mkdir()
+    used = empty_checkout / ".venv/share/used.cmake"
+    os.link(cached, used)
+    workspace.correct_exported_paths()
+    assert "/opt/python" not in used.read_text()
+    assert "/opt/python" in cached.read_text()
+
+
+def say_and_end(seconds, status):
+    yield ["sh", "-c", f"echo 40 %; sleep {seconds}; exit {status}"]
+
+
+def step(title, seconds, commands):
+    return workspace.Step(title, f"{title}.log", seconds, commands, workspace.kernels_share)
+
+
+def test_steps_run_side_by_side_and_are_never_silent_for_long(empty_checkout, capsys):
+    steps = [step("one", 10, say_and_end(3, 0)), step("two", 30, say_and_end(3.5, 0))]
+    begun = time.monotonic()
+    workspace.carry_out(steps, workspace.Progress(steps), dict(os.environ))
+    assert 3.5 <= time.monotonic() - begun < 6.0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) >= 3
+    assert re.fullmatch(r"tss_ros:  40 %, about \d+ s left: one 40 %, two 40 %", lines[1])
+    assert re.fullmatch(
+        r"tss_ros: 100 %, about 0 s left: one done in 3 s, two done in \d s", lines[-1]
+    )
+
+
+def test_a_step_that_fails_ends_the_other_and_shows_its_log(empty_checkout, capsys):
+    def fail():
+        workspace.demand((yield ["sh", "-c", "echo reason; exit 3"]))
+
+    steps = [step("long", 10, say_and_end(60, 0)), step("bad", 1, fail())]
+    begun = time.monotonic()
+    with pytest.raises(workspace.SetupError, match="bad failed; the whole output is in .*bad.log"):
+        workspace.carry_out(steps, workspace.Progress(steps), dict(os.environ))
+    assert time.monotonic() - begun < 10
+    assert capsys.readouterr().err.strip() == "reason"
+    assert not any(s.ended for s in steps)
 
 
 # ---------------------------------------------------------------- the workspace in use

@@ -1,15 +1,15 @@
 """What a bag says, as text, figures and tables: executables `summary`, `plot` and `export`."""
 
+from __future__ import annotations
+
 import json
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 import yaml
 
 from tss_ros import plots
@@ -19,6 +19,9 @@ from tss_ros.command_line import Parser
 from tss_ros.core import TssError, in_words
 from tss_ros.scenarios.laws import law_in_words, laws_in_words
 from tss_ros.scenarios.scenario import read_text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def summary(argv: Sequence[str] | None = None) -> int:
@@ -212,6 +215,9 @@ def _export(recording, options):
     if options.parameters:
         write_parameters(recording, options.parameters)
         return
+    import pyarrow.csv
+    import pyarrow.parquet
+
     folder, write, ending = (
         (options.csv, pyarrow.csv.write_csv, "csv")
         if options.csv
@@ -239,6 +245,8 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
     -------
     dict of str to pyarrow.Table
     """
+    import pyarrow as pa
+
     r = recording
 
     def rows(name, names, **values):

@@ -21,6 +21,8 @@ class Cancelled(TssError):
 
 
 def near_match(word: str, known: Iterable[str]) -> str:
-    """"; did you mean ...?" where a known word is much like this one, else nothing."""
-    found = difflib.get_close_matches(str(word), list(known), 1)
+    """"; did you mean ...?" where a known word is much like this one or holds it, else nothing."""
+    known, word = list(known), str(word)
+    found = difflib.get_close_matches(word, known, 1)
+    found += [name for name in known if len(word) > 2 and f"_{word.lower()}" in f"_{name}"]
     return f"; did you mean {found[0]!r}?" if found else ""

@@ -1,26 +1,49 @@
 """Matplotlib figures of recorded motions and stability results, from plain arrays and families.
 
 Figures are built without pyplot, so they share no state and need no screen; the caller saves them.
+matplotlib is loaded when the first figure is asked for.
 """
 
-from matplotlib.figure import Figure
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from tss_ros.plots.charts import stability, stability_map
-from tss_ros.plots.families import family
-from tss_ros.plots.mode_shapes import mode_of, mode_shape, save_mode_animation, shown_mode
-from tss_ros.plots.motions import balance, deviation, tethers, trajectories
+from tss_ros.extras import advice
 
-__all__ = [
-    "Figure",
-    "balance",
-    "deviation",
-    "family",
-    "mode_of",
-    "mode_shape",
-    "save_mode_animation",
-    "shown_mode",
-    "stability",
-    "stability_map",
-    "tethers",
-    "trajectories",
-]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Figure
+
+    from tss_ros.plots.charts import stability as stability
+    from tss_ros.plots.charts import stability_map as stability_map
+    from tss_ros.plots.families import family as family
+    from tss_ros.plots.mode_shapes import mode_of as mode_of
+    from tss_ros.plots.mode_shapes import mode_shape as mode_shape
+    from tss_ros.plots.mode_shapes import save_mode_animation as save_mode_animation
+    from tss_ros.plots.mode_shapes import shown_mode as shown_mode
+    from tss_ros.plots.motions import balance as balance
+    from tss_ros.plots.motions import deviation as deviation
+    from tss_ros.plots.motions import tethers as tethers
+    from tss_ros.plots.motions import trajectories as trajectories
+
+_PLACES = {
+    "matplotlib.figure": ("Figure",),
+    "tss_ros.plots.charts": ("stability", "stability_map"),
+    "tss_ros.plots.families": ("family",),
+    "tss_ros.plots.mode_shapes": ("mode_of", "mode_shape", "save_mode_animation", "shown_mode"),
+    "tss_ros.plots.motions": ("balance", "deviation", "tethers", "trajectories"),
+}
+__all__ = sorted(name for names in _PLACES.values() for name in names)
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, loaded when it is asked for."""
+    for place, names in _PLACES.items():
+        if name in names:
+            try:
+                value = getattr(importlib.import_module(place), name)
+            except ModuleNotFoundError as error:
+                if words := advice(error):
+                    error.msg = f"tss_ros.plots {words}"
+                raise
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tss_ros.command_line import Parser, without_ros_arguments
+from tss_ros.command_line import SHOWN_AS, Parser, without_ros_arguments
 from tss_ros.ros.parameters import Parameter
 
 
@@ -25,9 +25,10 @@ def check_words(
         The command line without the executable.
     """
     known = [parameter for table in tables for parameter in table]
+    called = SHOWN_AS.get(name, f"ros2 run tss_ros {name}")
     parser = Parser(
         prog=name,
-        usage=f"ros2 run tss_ros {name} [--help] [--version] [--ros-args -p PARAMETER:=VALUE ...]",
+        usage=f"{called} [--help] [--version] [--ros-args -p PARAMETER:=VALUE ...]",
         description=about,
         epilog=f"parameters: {', '.join(parameter.name for parameter in known)}. "
         f"`ros2 param describe /{name} PARAMETER` tells about one while the node runs.",

@@ -4,6 +4,7 @@ import math
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.review import review
-from tss_ros.runs.processes import STALL_S, record, run_command, watched_nodes
+from tss_ros.runs.processes import SHOW_S, STALL_S, record, run_command, watched_nodes
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.laws import law_in_words
 from tss_ros.stability_service import client
@@ -57,10 +58,12 @@ def make(output: Path, caught: list[int]) -> None:
         fresh.mkdir()
         system = scenario.load(SCENARIO).build({})
         turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(SPIN_RATE_RATIO))
+        print("starting sim_node, logger_node and stability_node", flush=True)
         recording, results = _run_nodes(fresh, Path(scratch), turn_s, caught)
-        for draw in (_save_trajectories, _save_deviation, _save_review):
+        for name, draw in DRAWN.items():
             if caught:
                 raise KeyboardInterrupt
+            print(f"drawing {name}", flush=True)
             draw(recording, fresh)
         client.write_csv(results, fresh / "stability.csv")
         client.figure(results, "").savefig(fresh / "stability.png")
@@ -68,7 +71,7 @@ def make(output: Path, caught: list[int]) -> None:
         if output.exists():
             output.rename(Path(scratch) / "old")
         fresh.rename(output)
-    print(client.format_table(results, client.TABLE[:-1]), end="\n\n")
+    print(f"\n{client.format_table(results, client.TABLE[:-1])}", end="\n\n")
     print(_summary(recording), end="\n\n")
     for name in FILES:
         print(os.path.relpath(output / name))
@@ -119,18 +122,18 @@ def _run_nodes(directory, log_directory, turn_s, caught):
 
 
 def _progress(turn_s):
-    """Show how far things are: on one line of a terminal, elsewhere as a line per turn."""
-    shown = None
+    """Show how far things are: on one line of a terminal, elsewhere in a line per turn."""
+    shown, when = None, time.monotonic()
 
     def show(watch, rates):
-        nonlocal shown
-        turns = round(watch.last_step * PUBLISH_PERIOD_S / turn_s, 1)
+        nonlocal shown, when
+        turns, clock = round(watch.last_step * PUBLISH_PERIOD_S / turn_s, 1), time.monotonic()
         line = f"turn {turns} of {TURNS}, {watch.messages} messages recorded; "
         line += f"stability of {rates} of {len(RATES)} rates"
         if sys.stdout.isatty():
             print(f"\r\033[K{line}", end="", flush=True)
-        elif (int(turns), rates) != shown:
-            shown = (int(turns), rates)
+        elif (int(turns), rates) != shown or clock - when > SHOW_S:
+            shown, when = (int(turns), rates), clock
             print(line, flush=True)
 
     return show
@@ -158,6 +161,14 @@ def _save_deviation(recording, directory):
 
 def _save_review(recording, directory):
     review.save(recording, directory / "review.rrd", SCENARIO)
+
+
+#: What is made of the recording, and how.
+DRAWN = {
+    "trajectories.png": _save_trajectories,
+    "deviation.png": _save_deviation,
+    "review.rrd": _save_review,
+}
 
 
 def _law(recording):

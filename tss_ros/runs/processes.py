@@ -32,6 +32,8 @@ STALL_S = 150.0
 #: How long [s] to wait, at the end, for the recorder's last report, which only shows progress.
 LAST_REPORT_S = 2.0
 LOG_LINES = 15
+#: Progress is shown at least so often [s], even where there is none.
+SHOW_S = 2.5
 
 
 class Nodes:
@@ -125,7 +127,7 @@ class Watch:
     caught : list of int
         Signals that came in.
     show : callable
-        Called with this object and the caller's own progress when either moved.
+        Called with this object and the caller's own progress when either moved, and every `SHOW_S`.
     """
 
     def __init__(
@@ -134,7 +136,7 @@ class Watch:
         self._nodes, self._caught, self._show = nodes, caught, show
         self.last_step, self.messages, self.reported_s = 0, 0, 0.0
         self._done, self._state = 0, None
-        self._changed = time.monotonic()
+        self._changed = self._shown = time.monotonic()
         qos = read_topics()["recorder_status"].qos
         ros_node.create_subscription(RecorderStatus, "recorder_status", self._on_status, qos)
 
@@ -152,11 +154,13 @@ class Watch:
         if self._caught:
             raise KeyboardInterrupt
         self._nodes.check()
-        state = (self.messages, self._done)
-        if state != self._state:
-            self._state, self._changed = state, time.monotonic()
+        state, clock = (self.messages, self._done), time.monotonic()
+        if state != self._state or clock - self._shown > SHOW_S:
+            if state != self._state:
+                self._state, self._changed = state, clock
+            self._shown = clock
             self._show(self, self._done)
-        if time.monotonic() - self._changed > STALL_S:
+        if clock - self._changed > STALL_S:
             raise TssError(f"nothing was recorded or computed for {STALL_S:g} s")
 
     def _on_status(self, status):

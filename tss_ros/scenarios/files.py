@@ -23,7 +23,23 @@ _KINDS = (
 _NUMBER = re.compile(r"[-+.:_0-9a-fA-FxXoO]+")
 #: What PyYAML raises at what it cannot take.
 _INVALID = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError)
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+    """PyYAML's loader, which would let the last one of duplicate keys win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        """The mapping of a node; refuses a key that comes twice."""
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    line = key.start_mark.line + 1
+                    raise ValueError(f"duplicate key {key.value!r:.80} in line {line}")
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 
 
 def open_regular(path: str | Path, follow: bool = True) -> BinaryIO:

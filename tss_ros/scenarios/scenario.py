@@ -20,6 +20,8 @@ Bodies may have a `velocity_m_s`, measured in the orbit frame, all of them or no
 starts from their positions and velocities instead of a steady state that is looked for.
 """
 
+import warnings
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,7 @@ from tss_ros.core.errors import near_match
 from tss_ros.core.model.configurations import InitialState
 from tss_ros.core.model.system import finite
 from tss_ros.scenarios import files
+from tss_ros.scenarios.doubts import ImplausibleValue, doubts
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
 _FOLDER = Path(__file__).parent
@@ -239,14 +242,21 @@ def load(name_or_path: str | Path) -> Scenario:
     ------
     TssError
         If there is no such scenario or something in it is wrong; the text says what and where.
+
+    Warns
+    -----
+    ImplausibleValue
+        If a value is allowed, but probably not what was meant.
     """
     text = str(name_or_path)
     content = files.load_yaml(read_text(text), f"scenario file {text!r}")
     try:
         scenario = _parse(text, content)
-        scenario.build()
+        system = scenario.build()
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
+    for words in doubts(system, scenario._bodies, scenario._tethers, scenario._velocities):
+        warnings.warn(f"scenario {text!r}: {words}", ImplausibleValue, stacklevel=2)
     return scenario
 
 
@@ -275,8 +285,10 @@ def _parse(name, content):
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]
     velocities = _velocities(entries)
     known_bodies = [body.name for body in bodies]
+    _check_names("bodies", known_bodies)
     entries = _entries(content, "tethers")
     tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
+    _check_names("tethers", [tether.name for tether in tethers])
     return Scenario(
         name, description, "graph", parameters, tuple(bodies), tuple(tethers), velocities
     )
@@ -292,13 +304,22 @@ def _entries(content, key):
 def _check_keys(where, entry, needed, optional=frozenset()):
     if not isinstance(entry, dict):
         raise TssError(f"{where} must be a mapping, got {entry!r}")
-    for key in needed:
-        if key not in entry:
-            raise TssError(f"{where} lacks {key}")
-    known = needed | optional
+    known = sorted(needed | optional)
     for key in entry:
         if key not in known:
-            raise TssError(f"{where} has {key!r}; allowed are {', '.join(sorted(known))}")
+            raise TssError(
+                f"{where} has {key!r}; allowed are {', '.join(known)}{near_match(key, known)}"
+            )
+    for key in sorted(needed):
+        if key not in entry:
+            raise TssError(f"{where} lacks {key}")
+
+
+def _check_names(key, given):
+    name, count = Counter(given).most_common(1)[0]
+    if count > 1:
+        places = [f"{key}[{i}]" for i, other in enumerate(given) if other == name]
+        raise TssError(f"duplicate name {name!r} of {' and '.join(places)}")
 
 
 def _body(i, entry):
@@ -339,7 +360,9 @@ def _tether(i, entry, known_bodies):
         raise TssError(f"{where}.between must be two body names, got {between!r}")
     for name in between:
         if str(name) not in known_bodies:
-            raise TssError(f"{where}.between: no body is named {name!r}")
+            raise TssError(
+                f"{where}.between: no body is named {name!r}{near_match(name, known_bodies)}"
+            )
     beads = entry.get("bead_mass_kg", [])
     if not isinstance(beads, list):
         raise TssError(f"{where}.bead_mass_kg must be a list, got {beads!r}")

@@ -161,7 +161,9 @@ class _Progress:
 
 def _parse(arguments):
     parser = Parser(
-        prog="simulate", description="Simulate straight into a bag, without nodes and without ROS."
+        prog="simulate",
+        description="Simulate straight into a bag, without nodes and without ROS.",
+        epilog="Without words but those of ROS, `tss sim` runs the simulator node.",
     )
     parser.add_argument(
         "scenario", nargs="?", default="three_star", help="shipped name or file (three_star)"

@@ -1,5 +1,7 @@
 """Client of the stability node: spin rates in, a table, a CSV file and a plot out."""
 
+from __future__ import annotations
+
 import argparse
 import csv
 import math

@@ -107,7 +107,8 @@ def _connected(scheduler):
         from distributed import CancelledError, Client
     except ImportError:
         raise TssError(
-            "a Dask cluster needs the package distributed; get it with: pip install distributed"
+            "a Dask cluster needs the package distributed; get it with:"
+            " pip install 'tss_ros[cluster]'"
         ) from None
     # A lost scheduler raises a TssError below; the client's own log would repeat it.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)

@@ -1,5 +1,7 @@
 """Stability over spin rates, scenarios and values of a parameter, on all cores or a cluster."""
 
+from __future__ import annotations
+
 import contextlib
 import math
 import signal

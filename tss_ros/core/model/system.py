@@ -99,7 +99,7 @@ class System:
         for names, what in ((self.bead_name, "bead"), (self.tether_name, "tether")):
             name, count = Counter(names).most_common(1)[0]
             if count > 1:
-                raise TssError(f"{what} name {name!r} is given {count} times")
+                raise TssError(f"duplicate {what} name {name!r}: {count} of them")
         self._store("is_satellite", self.is_satellite, n, bool)
         self._store("mass_kg", self.mass_kg, n, above=0.0)
         ends = np.array(self.tether_ends)

@@ -12,6 +12,7 @@ from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
+from tss_ros.core.motion.compilation import compile_ahead
 from tss_ros.core.motion.state import IntegratorState, Samples
 from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
 from tss_ros.core.numerics import block_lu, radau_tables
@@ -112,7 +113,12 @@ class Integrator:
         if not (np.isfinite(r).all() and np.isfinite(v).all()):
             raise TssError("positions and velocities must be finite, got NaN or infinity")
         first_step = FIRST_STEP * self.turn_s
-        return integrate.begin(self.arrays, self.tables, self.settings, v, r, first_step)
+        motion = integrate.begin(self.arrays, self.tables, self.settings, v, r, first_step)
+        compile_ahead(
+            self.arrays, self.symbolic, self.tables, self.settings, motion, (0.0, 0, 0),
+            self._no_samples,
+        )  # fmt: skip
+        return motion
 
     def ends(self, position_m: np.ndarray, velocity_m_s: np.ndarray, stop: float) -> Samples:
         """Where many motions are at a time, each by itself; threads may do this side by side.

@@ -51,6 +51,14 @@ class _Inner(CPUDispatcher):
         raise TypeError(f"{self.__name__} can be called by compiled code only")
 
 
+def is_cached(kernel: CPUDispatcher) -> bool:
+    """Whether a kernel is compiled, in this process or in the cache for a processor like this."""
+    here = kernel.targetctx.codegen().magic_tuple()
+    return bool(kernel.overloads) or any(
+        key[1] == here for key in kernel._cache._cache_file._load_index()
+    )
+
+
 #: Kernels that allocate nothing, nor do those they call. Counting references to their arrays, which
 #: numba does otherwise, takes as long as a short kernel itself.
 _NO_ALLOCATION = {"fastmath": {"contract"}, "_nrt": False}
