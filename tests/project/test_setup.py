@@ -116,6 +116,10 @@ def test_sourced_ros_is_found_and_brings_its_own_packages(tmp_path):
     ros = workspace.find_ros(ros_prefix(tmp_path))
     assert (ros.prefix, ros.python) == (tmp_path, (3, 12))
     assert [lock.name for lock in workspace.locks(ros)] == ["python.txt"]
+    own = ["simulation_interfaces", "tss_interfaces"]
+    assert workspace.interface_packages(ros) == workspace.interface_packages(None) == own
+    (tmp_path / "share" / "simulation_interfaces").mkdir(parents=True)
+    assert workspace.interface_packages(ros) == ["tss_interfaces"]
     assert [lock.name for lock in workspace.locks(None)] == ["python.txt", "ros.txt"]
 
 

@@ -10,16 +10,10 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import GetSimulationState, SetSimulationState, StepSimulation
 from tss_interfaces.action import Follow, Sweep
-from tss_interfaces.msg import SimulationState
-from tss_interfaces.srv import (
-    ComputeFloquet,
-    Disturb,
-    GetSimulationState,
-    GetStates,
-    SetSimulationState,
-    StepSimulation,
-)
+from tss_interfaces.srv import ComputeFloquet, Disturb, GetStates
 
 CLIENTS = 20
 #: Answers that a client of these tests keeps unread: one process on a busy machine reads them all.

@@ -7,17 +7,14 @@ import pytest
 import ros_harness
 from rclpy.parameter import Parameter
 from ros_harness import motion, time_ns
-from tss_interfaces.msg import Result, SimulationState
-from tss_interfaces.srv import (
-    Disturb,
+from simulation_interfaces.msg import Result, SimulationState
+from simulation_interfaces.srv import (
     GetSimulationState,
-    GetStates,
     ResetSimulation,
-    RestoreSnapshot,
-    SaveSnapshot,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.srv import Disturb, GetStates, RestoreSnapshot, SaveSnapshot
 
 import tss_ros
 from tss_ros.core import LAW_PARAMETERS, Propagator, State, ring

@@ -7,8 +7,10 @@ import pytest
 import ros_harness
 from diagnostic_msgs.msg import DiagnosticArray
 from ros_harness import time_ns
-from tss_interfaces.msg import BeadStates, SimulationState, SimulationStatus
-from tss_interfaces.srv import Disturb, ResetSimulation, SetSimulationState, StepSimulation
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import ResetSimulation, SetSimulationState, StepSimulation
+from tss_interfaces.msg import BeadStates, SimulationStatus
+from tss_interfaces.srv import Disturb
 
 from tss_ros.ros import diagnostics
 
@@ -76,12 +78,14 @@ def run(start, client, scale, duration_s, seed=16):
     return *simulated_and_ahead_s(published, first_steps, scale), results, told
 
 
+@pytest.mark.parametrize("duration_s", [6.0, pytest.param(60.0, marks=pytest.mark.long)])
 @pytest.mark.parametrize("scale", [1.0, 10.0])
-def test_time_is_never_ahead_by_more_than_a_step(start, client, scale):
-    simulated_s, ahead_s, results, told = run(start, client, scale, duration_s=6.0)
-    assert simulated_s > 0.1 * 6.0 * scale
+def test_time_is_never_ahead_by_more_than_a_step(start, client, scale, duration_s):
+    simulated_s, ahead_s, results, told = run(start, client, scale, duration_s)
+    assert simulated_s > 0.1 * duration_s * scale
     assert ahead_s < PERIOD_S + 0.002 * scale  # the first step may have gone out a little late
-    assert len(results) > 60 and sum(result.result == result.RESULT_OK for result in results) > 30
+    done = sum(result.result == result.RESULT_OK for result in results)
+    assert len(results) > 10 * duration_s and done > 5 * duration_s
     assert "faster than time_scale asks for" not in told  # slower it may be on a busy machine
 
 

@@ -12,12 +12,11 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2, PointField
+from simulation_interfaces.msg import Result, SimulationState
 from std_msgs.msg import ColorRGBA, Header
 from tss_interfaces.msg import (
     BeadStates,
-    Result,
     SimulationEvent,
-    SimulationState,
     SimulationStatus,
     SystemDescription,
     TetherStates,

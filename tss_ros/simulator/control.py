@@ -100,6 +100,7 @@ class Control:
         self._drain_until = 0.0
         self._changing = []  # requests that are answered when the next state is out
         self._steps_left, self._steps_asked, self._stepping = 0, 0, None
+        self._on_step = None
         self._pace.run(play)
 
     @property
@@ -158,8 +159,19 @@ class Control:
         self._pace.run(target == PlayState.PLAYING)
         answer.set_result(None)
 
-    def take_steps(self, answer: Future, steps: int) -> None:
-        """Publish so many steps of a paused simulation."""
+    def take_steps(
+        self, answer: Future, steps: int, on_step: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Publish so many steps of a paused simulation.
+
+        Parameters
+        ----------
+        answer : Future
+            Of the request.
+        steps : int
+        on_step : callable, optional
+            Called after each of them with the numbers of steps that are done and still to come.
+        """
         if self.state != PlayState.PAUSED:
             raise Refused(
                 Code.OPERATION_FAILED, f"it is {self.state.name.lower()}; stepping needs paused"
@@ -174,8 +186,15 @@ class Control:
         if self.failure:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
         self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
+        self._on_step = on_step
         self._pace.hasten(self.simulation.next_time_s)
         self._pace.run(True)
+
+    def cancel_steps(self, answer: Future, on_step: Callable[[int, int], None]) -> None:
+        """Take no more of the steps that were asked for with this `on_step`, if any are left."""
+        if self._stepping and self._on_step is on_step:
+            self._end_stepping("the goal was canceled")
+        answer.set_result(None)
 
     def stop_and_reset(self, answer: Future, make_setup: Callable[[], Setup]) -> None:
         """Begin anew, and stand still there."""
@@ -214,6 +233,11 @@ class Control:
     def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         self.simulation.disturb(offset_m, velocity_m_s)
+        self.failure = ""
+
+    def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
+        """Give one bead a position [m] and a velocity [m/s], each of shape (3,)."""
+        self.simulation.place(bead, position_m, velocity_m_s)
         self.failure = ""
 
     def save(self, answer: Future, file: str) -> None:
@@ -303,6 +327,8 @@ class Control:
         self.meter.add((sample.time_ns - before_ns) / 1e9, cost_s)
         if self._stepping:
             self._steps_left -= 1
+            if self._on_step:
+                self._on_step(self._steps_asked - self._steps_left, self._steps_left)
             if not self._steps_left:
                 self._pace.run(False)
                 answer, self._stepping = self._stepping, None
