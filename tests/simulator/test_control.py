@@ -120,6 +120,20 @@ def test_steps_that_are_interrupted_say_so(paused):
     assert "of 10000 steps were taken: the motion began anew" in result.error_message
 
 
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [
+        (SimulationState.STATE_NO_WORLD, Result.RESULT_FEATURE_UNSUPPORTED),
+        (SimulationState.STATE_LOADING_WORLD, Result.RESULT_FEATURE_UNSUPPORTED),
+        (6, Result.RESULT_OPERATION_FAILED),
+        (255, Result.RESULT_OPERATION_FAILED),
+    ],
+)
+def test_states_that_there_are_not(paused, state, code):
+    refused = paused.refused(SetSimulationState, state=SimulationState(state=state))
+    assert refused == (code, f"state is {state}; allowed: 0 to 3")
+
+
 @pytest.mark.parametrize("steps", [0, 10_001, 2**64 - 1])
 def test_numbers_of_steps_that_are_not_allowed(paused, steps):
     code, why = paused.refused(StepSimulation, steps=steps)

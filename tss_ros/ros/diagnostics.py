@@ -27,7 +27,7 @@ def of_simulator(
     late : bool
         Whether the simulator has fallen behind.
     resolution : float
-        What one step more or less makes of the real-time factor [-].
+        What a step more or less, and what was late before, may make of the real-time factor [-].
     slack : sequence of str
         Names of the tethers that are slack.
     recorders : dict of str to (int, int)

@@ -116,10 +116,14 @@ class Control:
     # --- for any thread
 
     @property
+    def lag_s(self) -> float:
+        """[s] how long the next state has been due while states follow each other; 0: it is not."""
+        return max(0.0, -self._pace.wait_s(self.simulation.next_time_s)) if self.moving else 0.0
+
+    @property
     def late(self) -> bool:
         """Whether the simulation has fallen behind `time_scale` since the last call."""
-        lag_s = -self._pace.wait_s(self.simulation.next_time_s)
-        return self._pace.was_late() or (self.state == PlayState.PLAYING and lag_s > MAX_LAG_S)
+        return self._pace.was_late() or self.lag_s > MAX_LAG_S
 
     def request(self, work: Callable[..., None], *arguments: object) -> Future:
         """Have `work(*arguments)` called in between two steps.

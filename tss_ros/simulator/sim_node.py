@@ -111,7 +111,7 @@ class SimNode(TssNode):
         self.every(RECORDER_CHECK_S, self._check_recorders)
         self.every(STATUS_PERIOD_S, self._report_regularly)
         self.every(DIAGNOSTICS_PERIOD_S, self._report_diagnostics)
-        self._measured = (0.0, math.nan)
+        self._measured, self._lags_s = (0.0, math.nan), (0.0, 0.0)
         self._clock_ns, self._clock_due, self._tf_due = None, -math.inf, -math.inf
         self._progress = time.monotonic()
         self._events = []
@@ -354,6 +354,7 @@ class SimNode(TssNode):
 
     def _report_regularly(self):
         self._measured = self._control.meter.read()
+        self._lags_s = self._lags_s[1], self._control.lag_s
         self._report_status()
 
     def _report_status(self):
@@ -380,7 +381,9 @@ class SimNode(TssNode):
                 self.get_fully_qualified_name(),
                 self._status,
                 self._control.late,
-                simulation.setup.publish_period_s / STATUS_PERIOD_S,
+                # In a while that begins late more may go out, and a step more or less.
+                (simulation.setup.publish_period_s + self._lags_s[0] * self._pace.time_scale)
+                / STATUS_PERIOD_S,
                 [names[i] for i in np.flatnonzero(~sample.taut) if i < len(names)],
                 {
                     output: (published - recorder.step, recorder.lost)
