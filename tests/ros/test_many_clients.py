@@ -11,7 +11,12 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from simulation_interfaces.msg import SimulationState
-from simulation_interfaces.srv import GetSimulationState, SetSimulationState, StepSimulation
+from simulation_interfaces.srv import (
+    GetEntitiesStates,
+    GetSimulationState,
+    SetSimulationState,
+    StepSimulation,
+)
 from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.srv import ComputeFloquet, Disturb, GetStates
 
@@ -66,6 +71,7 @@ def test_the_simulator_answers_all_of_twenty_clients(start):
         for kind, name, request in (
             (GetSimulationState, "get_simulation_state", GetSimulationState.Request()),
             (GetStates, "get_states", GetStates.Request()),
+            (GetEntitiesStates, "get_entities_states", GetEntitiesStates.Request()),
             (Disturb, "disturb", Disturb.Request(random_offset_m=1.0)),
             (StepSimulation, "step_simulation", StepSimulation.Request(steps=2)),
         ):
