@@ -228,6 +228,9 @@ def build_packages(ros):
             if path.is_symlink() and not path.exists():
                 path.unlink()
     packages = [*interface_packages(ros), "tss_ros"]
+    if "simulation_interfaces" not in packages:  # ours of an earlier build would hide the real one
+        for folder in (ROOT / "build", ROOT / "install"):
+            shutil.rmtree(folder / "simulation_interfaces", ignore_errors=True)
     colcon = [VENV / "bin" / "colcon", "build", "--symlink-install"]
     colcon += ["--base-paths", ".", "msg_configs", "--packages-select", *packages]
     colcon += ["--event-handlers", "console_direct+", "--cmake-args"]

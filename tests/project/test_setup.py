@@ -123,6 +123,23 @@ def test_sourced_ros_is_found_and_brings_its_own_packages(tmp_path):
     assert [lock.name for lock in workspace.locks(None)] == ["python.txt", "ros.txt"]
 
 
+def test_an_installed_simulation_interfaces_is_not_hidden(tmp_path, monkeypatch):
+    """What colcon is told to build, and what is left of an earlier build."""
+    told = []
+    monkeypatch.setattr(workspace, "ROOT", tmp_path / "checkout")
+    monkeypatch.setattr(workspace, "run", lambda _, __, commands, ___: told.extend(commands[0]))
+    earlier = tmp_path / "checkout" / "install" / "simulation_interfaces"
+    earlier.mkdir(parents=True)
+    workspace.build_packages(None)
+    assert earlier.exists() and "simulation_interfaces" in told and "-DPYTHON_ONLY=ON" in told
+    del told[:]
+    environ = ros_prefix(tmp_path / "ros")
+    (tmp_path / "ros" / "share" / "simulation_interfaces").mkdir(parents=True)
+    workspace.build_packages(workspace.find_ros(environ))
+    assert not earlier.exists() and "tss_interfaces" in told and "-DPYTHON_ONLY=OFF" in told
+    assert "simulation_interfaces" not in told
+
+
 def test_own_prefixes_are_no_ros_install():
     own = f"{ROOT}/install/tss_ros:{ROOT}/.venv"
     assert workspace.find_ros({"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": own}) is None
