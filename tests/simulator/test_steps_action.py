@@ -96,6 +96,16 @@ def test_goals_that_are_refused_say_why(served):
     assert served.refused(StepSimulation, steps=1) == (FAILED, why)
 
 
+@pytest.mark.parametrize("time_scale", [1, 0])
+def test_a_simulator_that_is_told_to_stop_while_it_steps_stops_in_silence(served, time_scale):
+    """The fixture looks at its exit status and at what it prints."""
+    assert served.set(time_scale=time_scale, publish_period_s=0.1).successful
+    _, told = served.send(10_000)
+    served.spin_until(lambda: told, 20, "a step")
+    # It ends when the test does, with most of the steps to come.
+    assert told[-1].remaining_steps > 0
+
+
 def test_a_storm_of_goals_and_cancellations_is_answered(served):
     assert served.set(time_scale=100).successful
     handles = [served.send(50)[0] for _ in range(30)]
