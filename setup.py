@@ -84,6 +84,7 @@ setup(
         "llvmlite>=0.43",
         "PyYAML>=6.0",
         "argcomplete>=3.1",
+        "google-re2>=1.1.20240702",
         "mcap>=1.6",
         "mcap-ros2-support>=0.6",
         "lz4>=4.3",

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from tss_interfaces.msg import BeadStates, SimulationState
-from tss_interfaces.srv import SetSimulationState
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import SetSimulationState
+from tss_interfaces.msg import BeadStates
 
 from benchmarks.problems import cut
 from tss_ros.core import Propagator, initial_state, ring

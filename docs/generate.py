@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "tss_ros"
 CORE = PACKAGE / "core"
 INTERFACES = ROOT / "msg_configs" / "tss_interfaces"
+SIMULATION_INTERFACES = ROOT / "msg_configs" / "simulation_interfaces"
 OUTPUT = ROOT / "docs" / "_generated"
 
 # ---------------------------------------------------------------- equations
@@ -250,6 +251,8 @@ _FOREIGN_TOPICS = {
     " effort.",
     "/clock": "Simulation time, 10 to 200 times a second of wall time, also while paused.",
     "/diagnostics": "Once a second: the motion, slack tethers, recorders.",
+    "{satellite}/odom": "With `odometry`: position [m] and velocity [m/s] of a satellite relative"
+    " to another or to the centre of mass, along the axes of the orbit frame.",
     "/tf": "With `publish_tf`: `inertial` > `orbit` > every bead [m], at most 50 times a second"
     " of wall time.",
 }
@@ -304,7 +307,7 @@ _OFFERED_BY = {
 def offered(kind):
     """List (node, name, file) of the services ("srv") or actions ("action") that nodes offer."""
     found = []
-    for path in sorted((INTERFACES / kind).glob(f"*.{kind}")):
+    for path in sorted((ROOT / "msg_configs").glob(f"*/{kind}/*.{kind}")):
         name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", path.stem).lower()
         pattern = re.compile(rf'"(?:~/)?{name}"')
         for folder, node in _OFFERED_BY.items():
@@ -330,7 +333,8 @@ def actions():
 def _offers(kind, word):
     lines = [f"| node | {word} | what it does |", "|---|---|---|"]
     for node, name, path in offered(kind):
-        link = f"[`~/{name}`](interfaces.md#{path.stem.lower()})"
+        page = "interfaces" if path.is_relative_to(INTERFACES) else "simulation_interfaces"
+        link = f"[`~/{name}`]({page}.md#{path.stem.lower()})"
         lines.append(f"| `{node}` | {link} | {_cell(about(path))} |")
     return "\n".join(lines) + "\n"
 
@@ -343,6 +347,38 @@ def interfaces():
         for path in sorted((INTERFACES / kind).glob(f"*.{kind}")):
             body = path.read_text(encoding="utf-8").strip()
             text += f"\n### {path.stem}\n\n```text\n{body}\n```\n"
+    return text
+
+
+#: What the sections of a file are, by its ending.
+_SECTIONS = {"msg": ("",), "srv": ("request", "response"), "action": ("goal", "result", "feedback")}
+
+
+def fields(path):
+    """List (section, declaration, comment) of the fields and constants of an interface file."""
+    sections, found = iter(_SECTIONS[path.suffix[1:]]), []
+    section = next(sections)
+    for line in path.read_text(encoding="utf-8").splitlines():
+        declaration, _, comment = line.partition("#")
+        if line.startswith("---"):
+            section = next(sections)
+        elif declaration.strip():
+            found.append((section, " ".join(declaration.split()), comment.strip()))
+    return found
+
+
+def simulation_interfaces():
+    """Tables of the served types of simulation_interfaces: what each field means here."""
+    text = ""
+    for kind, title in (("srv", "Services"), ("action", "Actions"), ("msg", "Messages")):
+        text += f"\n## {title}\n"
+        for path in sorted((SIMULATION_INTERFACES / kind).glob(f"*.{kind}")):
+            first = "" if kind == "msg" else "| part "
+            text += f"\n### {path.stem}\n\n{about(path)}\n\n{first}| field or constant | here |\n"
+            text += f"{first and '|---'}|---|---|\n"
+            for section, declaration, comment in fields(path):
+                cells = (f"`{declaration}`", _cell(comment))
+                text += "| " + " | ".join((section, *cells) if first else cells) + " |\n"
     return text
 
 
@@ -477,6 +513,7 @@ PARTS = {
     "services.md": services,
     "actions.md": actions,
     "interfaces.md": interfaces,
+    "simulation_interfaces.md": simulation_interfaces,
     "commands.md": commands,
     "scenarios.md": scenarios,
     "tree.md": tree,

@@ -35,11 +35,15 @@ class SetupError(Exception):
 
 
 class RosInstall:
-    """A sourced ROS 2 Jazzy: where it is, and the (major, minor) of the Python it is built for."""
+    """A sourced ROS 2 Jazzy: where it is, and the (major, minor) of the Python it is built for.
 
-    def __init__(self, prefix, python):
+    `prefixes` are those of all workspaces that are sourced.
+    """
+
+    def __init__(self, prefix, python, prefixes):
         self.prefix = prefix
         self.python = python
+        self.prefixes = prefixes
 
 
 def find_ros(environ):
@@ -57,7 +61,7 @@ def find_ros(environ):
         return None
     for prefix in prefixes:
         for folder in sorted(prefix.glob("lib/python3.*/site-packages/rclpy")):
-            return RosInstall(prefix, (3, int(folder.parts[-3].split(".")[1])))
+            return RosInstall(prefix, (3, int(folder.parts[-3].split(".")[1])), prefixes)
     raise SetupError(
         "ROS 2 Jazzy is sourced, but has no rclpy: sudo apt install ros-jazzy-ros-base"
     )
@@ -101,6 +105,13 @@ def locks(ros):
     return [ROOT / "requirements" / name for name in names]
 
 
+def interface_packages(ros):
+    """Return the message packages to build: not simulation_interfaces where the real one is."""
+    prefixes = ros.prefixes if ros else []
+    installed = any((p / "share" / "simulation_interfaces").is_dir() for p in prefixes)
+    return ["tss_interfaces"] if installed else ["simulation_interfaces", "tss_interfaces"]
+
+
 def fingerprint(*parts):
     """Return a digest of strings and of files' names and contents."""
     digest = hashlib.sha256()
@@ -115,9 +126,11 @@ def wanted_stamps(ros):
     python = os.path.realpath(sys.executable)
     packages = fingerprint(python, str(ros.prefix) if ros else "wheels", *locks(ros))
     sources = [ROOT / name for name in ("package.xml", "setup.py", "setup.cfg")]
-    sources += sorted((ROOT / "msg_configs" / "tss_interfaces").rglob("*"))
+    for name in interface_packages(ros):
+        sources += sorted((ROOT / "msg_configs" / name).rglob("*"))
     # the rest is linked into install/: names matter here, contents do not
-    names = sorted(path.name for path in (ROOT / "msg_configs").glob("*.yaml"))
+    shared = ("msg_configs/*.yaml", "config/*", "launch/*", "layouts/*")
+    names = sorted(path.name for pattern in shared for path in ROOT.glob(pattern))
     build = fingerprint(packages, *names, *sources)
     # numba, too, knows a source file by its time and size
     core = [(path, path.stat()) for path in sorted((ROOT / "tss_ros" / "core").rglob("*.py"))]
@@ -384,8 +397,8 @@ def correct_exported_paths():
 
 
 def interfaces(ros):
-    """The step that builds tss_interfaces and tss_ros."""
-    return Step("interfaces", "build.log", 60, build_packages(), build_share)
+    """The step that builds the messages and tss_ros."""
+    return Step("interfaces", "build.log", 60, build_packages(ros), build_share)
 
 
 def build_share(log, begun):
@@ -400,22 +413,22 @@ def build_share(log, begun):
     return sum(shares) / len(shares)
 
 
-def build_packages():
-    """Build all packages; tss_ros is linked, so that edits need no new build."""
+def build_packages(ros):
+    """Build the messages and tss_ros; tss_ros is linked, so that edits need no new build."""
     for folder in (ROOT / "build", ROOT / "install"):  # colcon stumbles over links to what is gone
         for path in folder.rglob("*"):
             if path.is_symlink() and not path.exists():
                 path.unlink()
-    colcon = [
-        VENV / "bin" / "colcon",
-        "build",
-        "--symlink-install",
-        "--base-paths",
-        ".",
-        "msg_configs",
-    ]
+    packages = [*interface_packages(ros), "tss_ros"]
+    if "simulation_interfaces" not in packages:  # ours of an earlier build would hide the real one
+        for folder in (ROOT / "build", ROOT / "install"):
+            shutil.rmtree(folder / "simulation_interfaces", ignore_errors=True)
+    colcon = [VENV / "bin" / "colcon", "build", "--symlink-install"]
+    colcon += ["--base-paths", ".", "msg_configs", "--packages-select", *packages]
     colcon += ["--event-handlers", "console_direct+", "--cmake-args"]
-    colcon += ["-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF", "-DWITHOUT_CPP=ON"]
+    colcon += ["-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"]
+    # C++ nodes of a ROS install may want the messages, too; beside the wheels there are none
+    colcon += ["-DPYTHON_ONLY={}".format("OFF" if ros else "ON")]
     demand((yield colcon))
 
 

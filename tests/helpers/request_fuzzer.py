@@ -15,20 +15,36 @@ import time
 from pathlib import Path
 
 import ros_harness
+from geometry_msgs.msg import Vector3
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import parameter_value_to_python
-from tss_interfaces.msg import Result, SimulationState
+from simulation_interfaces.msg import (
+    Bounds,
+    EntityCategory,
+    EntityFilters,
+    EntityState,
+    Result,
+    SimulationState,
+    TagsFilter,
+)
+from simulation_interfaces.srv import (
+    GetEntities,
+    GetEntitiesStates,
+    GetEntityInfo,
+    GetEntityState,
+    GetSimulationState,
+    ResetSimulation,
+    SetEntityState,
+    SetSimulationState,
+    StepSimulation,
+)
 from tss_interfaces.srv import (
     ComputeFloquet,
     Disturb,
     FindCriticalRates,
-    GetSimulationState,
-    ResetSimulation,
     RestoreSnapshot,
     SaveSnapshot,
-    SetSimulationState,
-    StepSimulation,
 )
 
 OK, FAILED = Result.RESULT_OK, Result.RESULT_OPERATION_FAILED
@@ -50,6 +66,7 @@ CHANGEABLE = {
 }
 FIXED = ("turns", "wait_for_recorder", "recorder_patience_s", "start_paused", "service_folder")
 FIXED += ("publish_clock", "frame_prefix")
+EXPRESSIONS = ("satellite", "^s.*[0-9]$", "(a*)*" * 50, "(((a{99}){99}){99})", "[", "\\d", "((")
 NAMES = ("", "x" * 5000, "satellite_1", "satellite_2", "bead 1", "Ω", "'; DROP", "\n", "/", "a.npz")
 
 
@@ -85,6 +102,8 @@ class Fuzzer:
             (self._step, 10),
             (self._reset, 8),
             (self._disturb, 12),
+            (self._entities, 8),
+            (self._place, 6),
             (self._snapshot, 8),
             (self._set_parameter, 30),
             (self._read_parameters, 8),
@@ -130,7 +149,9 @@ class Fuzzer:
         elif target == PLAYING:
             allowed = (OK, 102)  # the motion may not be continuable
         else:
-            allowed = {STOPPED: (OK, 102), PAUSED: (OK,)}.get(target, (FAILED,))
+            unsupported = Result.RESULT_FEATURE_UNSUPPORTED
+            allowed = {STOPPED: (OK, 102), PAUSED: (OK,), 4: (unsupported,)}
+            allowed = allowed.get(target, (FAILED,))
         if self._result(SetSimulationState, "set_simulation_state", *allowed, state=state) == OK:
             self.state = target
         self.read_state()
@@ -180,6 +201,50 @@ class Fuzzer:
             allowed = (OK,) if fits and request.seed >= 0 else (FAILED,)
         fields = {name: getattr(request, name) for name in request.get_fields_and_field_types()}
         self._result(Disturb, "disturb", *allowed, **fields)
+
+    def _entities(self):
+        """Ask which entities fit filters, of which some are wrong, and for one of them."""
+        pick = self._random.choice
+        filters = EntityFilters(
+            filter=pick(["", "", *EXPRESSIONS, *NAMES]),
+            categories=[EntityCategory(category=pick([4, 4, 0, 3, 255]))] * pick([0, 0, 1, 5]),
+            tags=TagsFilter(tags=pick([[], ["satellite"], ["x"] * 99]), filter_mode=pick([0, 7])),
+            bounds=Bounds(type=pick([0, 0, 1, 2, 3, 9])),
+        )
+        numbers = [0.0, 1e3, -1e3, 1e300, math.nan, math.inf]
+        points = [Vector3(x=pick(numbers), y=pick(numbers)) for _ in range(pick([0, 2, 2, 50]))]
+        filters.bounds.points = points if filters.bounds.type or pick([True, False]) else []
+        allowed = (OK, FAILED, Result.RESULT_FEATURE_UNSUPPORTED)
+        self._result(GetEntities, "get_entities", *allowed, filters=filters)
+        self._result(GetEntitiesStates, "get_entities_states", *allowed, filters=filters)
+        name = pick(NAMES)
+        found = (OK,) if name.startswith("satellite") else (Result.RESULT_NOT_FOUND,)
+        self._result(GetEntityInfo, "get_entity_info", *found, entity=name)
+        self._result(GetEntityState, "get_entity_state", *found, entity=name)
+
+    def _place(self):
+        pick = self._random.choice
+        numbers = [0.0, 0.0, 100.0, -500.0, 1e9, math.nan, math.inf]
+        state = EntityState()
+        state.header.frame_id = pick(["", "", "", "orbit", "inertial", *NAMES])
+        for vector in (state.pose.position, state.twist.linear):
+            vector.x, vector.y = pick(numbers), pick(numbers)
+        state.pose.orientation.w = pick([1.0, 1.0, 1.0, -1.0, 0.0, math.nan])
+        state.twist.angular.z = pick([0.0, 0.0, 0.0, 1.0])
+        pose = state.pose.position
+        fits = all(abs(x) <= 1e6 for x in (pose.x, pose.y)) and abs(state.pose.orientation.w) == 1
+        twist = state.twist.linear
+        moves = all(abs(x) <= 1e4 for x in (twist.x, twist.y)) and not state.twist.angular.z
+        name = pick(NAMES)
+        if not name.startswith("satellite"):
+            allowed = (Result.RESULT_NOT_FOUND,)
+        elif state.header.frame_id not in ("", "orbit"):
+            allowed = (FAILED,)
+        else:
+            allowed = (OK,) if fits and moves else (101, FAILED)
+            # Beads that are joined may not be in one place.
+            allowed = (OK, FAILED) if allowed == (OK,) else allowed
+        self._result(SetEntityState, "set_entity_state", *allowed, entity=name, state=state)
 
     def _snapshot(self):
         file = self._random.choice([*NAMES, *(f"s{i}.npz" for i in range(5)), "no/such.npz"])

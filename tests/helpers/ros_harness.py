@@ -18,20 +18,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from tss_interfaces.msg import (
-    BeadStates,
-    Result,
-    SimulationEvent,
-    SimulationState,
-    SimulationStatus,
-    SystemDescription,
-)
-from tss_interfaces.srv import (
+from simulation_interfaces.msg import Result, SimulationState
+from simulation_interfaces.srv import (
     GetSimulationState,
     ResetSimulation,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.msg import BeadStates, SimulationEvent, SimulationStatus, SystemDescription
 
 #: How long [s] a loaded machine may take to start a node; the first one may compile the core.
 START_S = 90.0

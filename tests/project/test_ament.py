@@ -42,7 +42,8 @@ def test_xmllint():
     check = ament("xmllint").main
     if not shutil.which("xmllint"):
         pytest.skip("xmllint is not installed")
-    files = ["package.xml", "msg_configs/tss_interfaces/package.xml", "launch/review.launch.xml"]
+    files = ["package.xml", "msg_configs/tss_interfaces/package.xml"]
+    files += ["msg_configs/simulation_interfaces/package.xml", "launch/review.launch.xml"]
     assert check(files) == 0
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from catkin_pkg.changelog import Changelog, populate_changelog_from_rst
+from catkin_pkg.cli.prepare_release import get_forthcoming_label
 
 from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, compute_floquet
 from tss_ros.runs import demo
@@ -15,7 +17,7 @@ from tss_ros.scenarios import scenario
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
+PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING")]
 PAGES += [ROOT / "QUALITY_DECLARATION.md"]
 PAGES += sorted(p for p in DOCS.rglob("*.md") if not {"_build", "_generated"} & set(p.parts))
 
@@ -186,6 +188,8 @@ def test_every_parameter_topic_and_interface_has_its_row():
     assert "`~/compute_floquet`" in generate.services() and "`~/sweep`" in generate.actions()
     offered = generate.offered("srv") + generate.offered("action")
     assert {node for node, _, _ in offered} == {"sim_node", "stability_node"}
+    compared = [line for line in generate.simulation_interfaces().splitlines() if "`" in line]
+    assert len(compared) > 100 and not [line for line in compared if "|  |" in line]
 
 
 def test_every_module_says_what_it_holds():
@@ -217,9 +221,22 @@ def test_citation_names_software_and_paper():
     assert paper["doi"] in README and paper["title"] in README
 
 
+def test_changelog_is_read_by_the_tools_of_ros():
+    """As catkin_prepare_release does: the forthcoming version gets its number and its date."""
+    text = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    assert get_forthcoming_label(text) == "Forthcoming"
+    title = "0.1.0 (2027-01-01)"
+    dated = re.sub("^Forthcoming\n-+$", f"{title}\n{'-' * len(title)}", text, flags=re.M)
+    changelog = populate_changelog_from_rst(Changelog("tss_ros"), dated)
+    ((version, _, content),) = changelog.foreach_version()
+    bullets = [bullet for part in content for bullet in getattr(part, "bullets", [])]
+    assert version == "0.1.0" and len(bullets) == len(re.findall(r"^\* ", text, re.M)) > 40
+    assert not re.search(r"(?<!`)`[^`]", text)  # one backtick is no literal
+
+
 def test_old_names_of_jobs_stand_in_the_changelog():
     from tss_ros.core.api import OLD_NAMES
 
-    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    text = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
     for old, new in OLD_NAMES.items():
         assert f"`{new.__name__}`" in text and re.search(rf"`(tss_ros\.core\.)?{old}`", text)

@@ -120,7 +120,25 @@ def test_sourced_ros_is_found_and_brings_its_own_packages(tmp_path):
     ros = workspace.find_ros(ros_prefix(tmp_path))
     assert (ros.prefix, ros.python) == (tmp_path, (3, 12))
     assert [lock.name for lock in workspace.locks(ros)] == ["python.txt"]
+    own = ["simulation_interfaces", "tss_interfaces"]
+    assert workspace.interface_packages(ros) == workspace.interface_packages(None) == own
+    (tmp_path / "share" / "simulation_interfaces").mkdir(parents=True)
+    assert workspace.interface_packages(ros) == ["tss_interfaces"]
     assert [lock.name for lock in workspace.locks(None)] == ["python.txt", "ros.txt"]
+
+
+def test_an_installed_simulation_interfaces_is_not_hidden(tmp_path, monkeypatch):
+    """What colcon is told to build, and what is left of an earlier build."""
+    monkeypatch.setattr(workspace, "ROOT", tmp_path / "checkout")
+    earlier = tmp_path / "checkout" / "install" / "simulation_interfaces"
+    earlier.mkdir(parents=True)
+    (told,) = answered(workspace.build_packages(None))
+    assert earlier.exists() and "simulation_interfaces" in told and "-DPYTHON_ONLY=ON" in told
+    environ = ros_prefix(tmp_path / "ros")
+    (tmp_path / "ros" / "share" / "simulation_interfaces").mkdir(parents=True)
+    (told,) = answered(workspace.build_packages(workspace.find_ros(environ)))
+    assert not earlier.exists() and " tss_interfaces " in told and "-DPYTHON_ONLY=OFF" in told
+    assert "simulation_interfaces" not in told
 
 
 def test_own_prefixes_are_no_ros_install():
@@ -251,7 +269,8 @@ def test_packages_come_by_pip_where_uv_fails(empty_checkout, statuses):
 
 
 def test_beside_a_ros_install_packages_come_by_pip(empty_checkout, tmp_path):
-    steps = answered(workspace.install_packages(workspace.RosInstall(tmp_path, (3, 12))), 0, 0)
+    ros = workspace.RosInstall(tmp_path, (3, 12), [tmp_path])
+    steps = answered(workspace.install_packages(ros), 0, 0)
     assert not [step for step in steps if "uv" in step.split("/")[-1]]
     assert "--system-site-packages" in steps[0] and "ros.txt" not in steps[2]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import ros_harness
 import yaml
 from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray
 
 from tss_ros import scenarios
 from tss_ros.messages.steps import FRAME_ID
@@ -17,7 +18,41 @@ SCENARIOS = ("three_star", "three_star_50kg", "three_star_1000kg", "six_bead")
 
 
 def test_every_scenario_has_a_parameter_file():
-    assert {path.stem for path in (SHARE / "config").glob("*.yaml")} == set(shipped())
+    files = {path.stem for path in (SHARE / "config").glob("*.yaml")}
+    assert files - {"diagnostics_aggregator"} == set(shipped())
+
+
+def test_the_aggregator_sorts_every_status_once(start, client):
+    """By the names that its analyzers look for, as diagnostic_aggregator does."""
+    file = SHARE / "config" / "diagnostics_aggregator.yaml"
+    analyzers = yaml.safe_load(file.read_text())["analyzers"]["ros__parameters"]
+    assert analyzers.pop("path")
+    node, spin_until = client
+    start("sim_node", "-r", "__ns:=/left")
+    start("logger_node", "-r", "__ns:=/left", output="bag")
+    found = {}
+
+    def keep(message):
+        assert message.header.stamp.sec > 0
+        found.update({status.name: status.hardware_id for status in message.status})
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    spin_until(lambda: len(found) == 4, ros_harness.START_S, "all tasks")
+    expected = {
+        "left/sim_node: motion": ["simulators"],
+        "left/sim_node: tethers": ["simulators"],
+        "left/sim_node: recorders": ["simulators"],
+        "left/logger_node: recording": ["recorders"],
+    }
+    assert {
+        status: [
+            name
+            for name, analyzer in analyzers.items()
+            if analyzer["type"] == "diagnostic_aggregator/GenericAnalyzer"
+            and any(text in status for text in analyzer["contains"])
+        ]
+        for status in found
+    } == expected
 
 
 def test_parameter_files_start_every_node(start, client):

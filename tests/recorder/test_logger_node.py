@@ -11,8 +11,8 @@ from recorded import PERIOD_S, STEPS, messages_by_topic, record_one_turn
 from ros_harness import time_ns
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from simulation_interfaces.srv import ResetSimulation
 from tss_interfaces.msg import RecorderStatus
-from tss_interfaces.srv import ResetSimulation
 
 from tss_ros.bags import recover
 

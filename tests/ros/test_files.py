@@ -6,7 +6,7 @@ import zipfile
 import pytest
 import ros_harness
 from request_fuzzer import resident_kib
-from tss_interfaces.msg import Result
+from simulation_interfaces.msg import Result
 from tss_interfaces.srv import RestoreSnapshot, SaveSnapshot
 
 #: Contents of scenario files by the reason why they are refused.

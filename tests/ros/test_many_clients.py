@@ -10,16 +10,15 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
-from tss_interfaces.action import Follow, Sweep
-from tss_interfaces.msg import SimulationState
-from tss_interfaces.srv import (
-    ComputeFloquet,
-    Disturb,
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import (
+    GetEntitiesStates,
     GetSimulationState,
-    GetStates,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.action import Follow, Sweep
+from tss_interfaces.srv import ComputeFloquet, Disturb, GetStates
 
 CLIENTS = 20
 #: Answers that a client of these tests keeps unread: one process on a busy machine reads them all.
@@ -72,6 +71,7 @@ def test_the_simulator_answers_all_of_twenty_clients(start):
         for kind, name, request in (
             (GetSimulationState, "get_simulation_state", GetSimulationState.Request()),
             (GetStates, "get_states", GetStates.Request()),
+            (GetEntitiesStates, "get_entities_states", GetEntitiesStates.Request()),
             (Disturb, "disturb", Disturb.Request(random_offset_m=1.0)),
             (StepSimulation, "step_simulation", StepSimulation.Request(steps=2)),
         ):

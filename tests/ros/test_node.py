@@ -117,6 +117,7 @@ def test_missing_parameters_file_ends_a_node_with_one_line(start):
 # --- requests
 
 
-def test_random_requests_are_answered_rightly_or_refused(tmp_path):
-    growth = request_fuzzer.run(tmp_path, 400, seed=20)
-    assert all(kib < 20 * 1024 for kib in growth.values()), growth
+@pytest.mark.parametrize("requests", [400, pytest.param(10_000, marks=pytest.mark.long)])
+def test_random_requests_are_answered_rightly_or_refused(tmp_path, requests):
+    growth = request_fuzzer.run(tmp_path, requests, seed=20)
+    assert all(kib < 20 * 1024 + 2 * requests for kib in growth.values()), growth

@@ -45,6 +45,7 @@ def test_what_is_not_given_is_left_to_the_scenario(given):
         "service_folder": "service_files",
         "publish_clock": True,
         "publish_tf": False,
+        "odometry": "",
         "frame_prefix": "",
     }
 

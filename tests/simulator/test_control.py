@@ -7,17 +7,14 @@ import pytest
 import ros_harness
 from rclpy.parameter import Parameter
 from ros_harness import motion, time_ns
-from tss_interfaces.msg import Result, SimulationState
-from tss_interfaces.srv import (
-    Disturb,
+from simulation_interfaces.msg import Result, SimulationState
+from simulation_interfaces.srv import (
     GetSimulationState,
-    GetStates,
     ResetSimulation,
-    RestoreSnapshot,
-    SaveSnapshot,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.srv import Disturb, GetStates, RestoreSnapshot, SaveSnapshot
 
 import tss_ros
 from tss_ros.core import LAW_PARAMETERS, Propagator, State, ring
@@ -121,6 +118,20 @@ def test_steps_that_are_interrupted_say_so(paused):
     result = answer.result().result
     assert result.result == Result.RESULT_OPERATION_FAILED
     assert "of 10000 steps were taken: the motion began anew" in result.error_message
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [
+        (SimulationState.STATE_NO_WORLD, Result.RESULT_FEATURE_UNSUPPORTED),
+        (SimulationState.STATE_LOADING_WORLD, Result.RESULT_FEATURE_UNSUPPORTED),
+        (6, Result.RESULT_OPERATION_FAILED),
+        (255, Result.RESULT_OPERATION_FAILED),
+    ],
+)
+def test_states_that_there_are_not(paused, state, code):
+    refused = paused.refused(SetSimulationState, state=SimulationState(state=state))
+    assert refused == (code, f"state is {state}; allowed: 0 to 3")
 
 
 @pytest.mark.parametrize("steps", [0, 10_001, 2**64 - 1])

@@ -8,7 +8,8 @@ import numpy as np
 import ros_harness
 from recorded import messages_by_topic, recorded_steps
 from rosgraph_msgs.msg import Clock
-from tss_interfaces.srv import Disturb, GetStates, StepSimulation
+from simulation_interfaces.srv import StepSimulation
+from tss_interfaces.srv import Disturb, GetStates
 
 from tss_ros.ros.topics import read_topics
 from tss_ros.simulator.sim_node import STATE_TOPICS

@@ -24,13 +24,14 @@ from recorded import (
 )
 from ros_harness import time_ns
 from rosgraph_msgs.msg import Clock
-from tss_interfaces.msg import BeadStates, SimulationState
-from tss_interfaces.srv import (
+from simulation_interfaces.msg import SimulationState
+from simulation_interfaces.srv import (
     GetSimulationState,
     ResetSimulation,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.msg import BeadStates
 
 from tss_ros.ros import parameters
 
@@ -338,7 +339,7 @@ def test_diagnostics_tell_pace_slack_and_recorders(start, client):
 
     def report(task, condition):
         def look():
-            status = reports.get(f"/sim_node: {task}")
+            status = reports.get(f"sim_node: {task}")
             return status if status and condition(status) else None
 
         return spin_until(look, ros_harness.START_S, f"diagnostics of {task}")

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from simulation_interfaces.msg import SimulationState
 from std_msgs.msg import Header
-from tss_interfaces.msg import SimulationState, SimulationStatus
+from tss_interfaces.msg import SimulationStatus
 
 
 def of_simulator(
@@ -26,7 +27,7 @@ def of_simulator(
     late : bool
         Whether the simulator has fallen behind.
     resolution : float
-        What one step more or less makes of the real-time factor [-].
+        What a step more or less, and what was late before, may make of the real-time factor [-].
     slack : sequence of str
         Names of the tethers that are slack.
     recorders : dict of str to (int, int)
@@ -55,7 +56,7 @@ def of_simulator(
     return DiagnosticArray(
         header=Header(stamp=status.stamp),
         status=[
-            _status(f"{name}: {task}", name, level, text, values)
+            _status(name, task, name, level, text, values)
             for task, ((level, text), values) in tasks.items()
         ],
     )
@@ -91,7 +92,7 @@ def of_recorder(
     if lost:
         level, text = DiagnosticStatus.ERROR, f"{lost} messages were lost"
     values = {"output": path, "messages": str(messages), **notes}
-    status = _status(f"{name}: recording", "none", level, text, values)
+    status = _status(name, "recording", "none", level, text, values)
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])
 
 
@@ -119,9 +120,10 @@ def _recorders(recorders):
     return DiagnosticStatus.OK, "recording" if recorders else "no recorder"
 
 
-def _status(name, hardware_id, level, text, values):
+def _status(node, task, hardware_id, level, text, values):
+    """As diagnostic_updater names it: without a slash first, which aggregators would show."""
     return DiagnosticStatus(
-        name=name,
+        name=f"{node.lstrip('/')}: {task}",
         hardware_id=hardware_id,
         level=level,
         message=text,

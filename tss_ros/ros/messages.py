@@ -2,8 +2,9 @@
 
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
+from simulation_interfaces.msg import Result, SimulationState
 from std_msgs.msg import Header
-from tss_interfaces.msg import Result, SimulationEvent, SimulationState, SimulationStatus
+from tss_interfaces.msg import SimulationEvent, SimulationStatus
 
 
 def stamp(time_ns: int) -> Time:

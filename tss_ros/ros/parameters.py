@@ -126,6 +126,11 @@ SIMULATOR = (
         default=False, note="needs tf2_msgs",
     ),
     Parameter(
+        "odometry", str,
+        "Publish odometry of every satellite relative to the satellite of this name, or to"
+        " centre_of_mass", default="", applies="reset", note="empty: none",
+    ),
+    Parameter(
         "frame_prefix", str,
         "Put before the name of every frame, to tell several simulators apart", default="",
     ),

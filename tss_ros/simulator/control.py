@@ -100,6 +100,7 @@ class Control:
         self._drain_until = 0.0
         self._changing = []  # requests that are answered when the next state is out
         self._steps_left, self._steps_asked, self._stepping = 0, 0, None
+        self._on_step = None
         self._pace.run(play)
 
     @property
@@ -115,10 +116,14 @@ class Control:
     # --- for any thread
 
     @property
+    def lag_s(self) -> float:
+        """[s] how long the next state has been due while states follow each other; 0: it is not."""
+        return max(0.0, -self._pace.wait_s(self.simulation.next_time_s)) if self.moving else 0.0
+
+    @property
     def late(self) -> bool:
         """Whether the simulation has fallen behind `time_scale` since the last call."""
-        lag_s = -self._pace.wait_s(self.simulation.next_time_s)
-        return self._pace.was_late() or (self.state == PlayState.PLAYING and lag_s > MAX_LAG_S)
+        return self._pace.was_late() or self.lag_s > MAX_LAG_S
 
     def request(self, work: Callable[..., None], *arguments: object) -> Future:
         """Have `work(*arguments)` called in between two steps.
@@ -158,8 +163,19 @@ class Control:
         self._pace.run(target == PlayState.PLAYING)
         answer.set_result(None)
 
-    def take_steps(self, answer: Future, steps: int) -> None:
-        """Publish so many steps of a paused simulation."""
+    def take_steps(
+        self, answer: Future, steps: int, on_step: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Publish so many steps of a paused simulation.
+
+        Parameters
+        ----------
+        answer : Future
+            Of the request.
+        steps : int
+        on_step : callable, optional
+            Called after each of them with the numbers of steps that are done and still to come.
+        """
         if self.state != PlayState.PAUSED:
             raise Refused(
                 Code.OPERATION_FAILED, f"it is {self.state.name.lower()}; stepping needs paused"
@@ -174,8 +190,15 @@ class Control:
         if self.failure:
             raise Refused(Code.OPERATION_FAILED, f"{self.failure}; reset first")
         self._stepping, self._steps_left, self._steps_asked = answer, steps, steps
+        self._on_step = on_step
         self._pace.hasten(self.simulation.next_time_s)
         self._pace.run(True)
+
+    def cancel_steps(self, answer: Future, on_step: Callable[[int, int], None]) -> None:
+        """Take no more of the steps that were asked for with this `on_step`, if any are left."""
+        if self._stepping and self._on_step is on_step:
+            self._end_stepping("the goal was canceled")
+        answer.set_result(None)
 
     def stop_and_reset(self, answer: Future, make_setup: Callable[[], Setup]) -> None:
         """Begin anew, and stand still there."""
@@ -214,6 +237,11 @@ class Control:
     def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
         self.simulation.disturb(offset_m, velocity_m_s)
+        self.failure = ""
+
+    def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
+        """Give one bead a position [m] and a velocity [m/s], each of shape (3,)."""
+        self.simulation.place(bead, position_m, velocity_m_s)
         self.failure = ""
 
     def save(self, answer: Future, file: str) -> None:
@@ -303,6 +331,8 @@ class Control:
         self.meter.add((sample.time_ns - before_ns) / 1e9, cost_s)
         if self._stepping:
             self._steps_left -= 1
+            if self._on_step:
+                self._on_step(self._steps_asked - self._steps_left, self._steps_left)
             if not self._steps_left:
                 self._pace.run(False)
                 answer, self._stepping = self._stepping, None

@@ -2,21 +2,22 @@
 
 import traceback
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.task import Future
-from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
-from tss_interfaces.srv import (
-    Disturb,
+from simulation_interfaces.msg import SimulationState, SimulatorFeatures
+from simulation_interfaces.srv import (
     GetSimulationState,
-    GetStates,
+    GetSimulatorFeatures,
     ResetSimulation,
-    RestoreSnapshot,
-    SaveSnapshot,
     SetSimulationState,
     StepSimulation,
 )
+from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
+from tss_interfaces.srv import Disturb, GetStates, RestoreSnapshot, SaveSnapshot
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
@@ -27,6 +28,26 @@ from tss_ros.simulator.setup import Setup
 
 #: Largest offset [m] and change of velocity [m/s] in a Disturb request.
 MAX_OFFSET_M, MAX_VELOCITY_M_S = 1e5, 1e4
+#: What a simulator is said to be able to do.
+FEATURES = (
+    SimulatorFeatures.ENTITY_TAGS,
+    SimulatorFeatures.ENTITY_BOUNDS_BOX,
+    SimulatorFeatures.ENTITY_CATEGORIES,
+    SimulatorFeatures.ENTITY_STATE_GETTING,
+    SimulatorFeatures.ENTITY_STATE_SETTING,
+    SimulatorFeatures.ENTITY_INFO_GETTING,
+    SimulatorFeatures.SIMULATION_RESET,
+    SimulatorFeatures.SIMULATION_RESET_TIME,
+    SimulatorFeatures.SIMULATION_RESET_STATE,
+    SimulatorFeatures.SIMULATION_STATE_GETTING,
+    SimulatorFeatures.SIMULATION_STATE_SETTING,
+    SimulatorFeatures.SIMULATION_STATE_PAUSE,
+    SimulatorFeatures.STEP_SIMULATION_SINGLE,
+    SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
+    SimulatorFeatures.STEP_SIMULATION_ACTION,
+)
+#: States that simulators with worlds to load have.
+STATES_OF_WORLDS = (SimulationState.STATE_NO_WORLD, SimulationState.STATE_LOADING_WORLD)
 
 
 class SimulationServices:
@@ -64,6 +85,7 @@ class SimulationServices:
         for kind, name, callback in (
             (SetSimulationState, "set_simulation_state", self._set_state),
             (GetSimulationState, "get_simulation_state", self._get_state),
+            (GetSimulatorFeatures, "get_simulator_features", self._get_features),
             (GetStates, "get_states", self._get_states),
             (StepSimulation, "step_simulation", self._step),
             (ResetSimulation, "reset_simulation", self._reset),
@@ -79,19 +101,32 @@ class SimulationServices:
         self._on_answer()
         return response
 
+    def _get_features(self, _, response):
+        name = self._node.get_fully_qualified_name()
+        response.features.features = FEATURES
+        response.features.custom_info = (
+            f"tss_ros {version('tss_ros')}; entities are satellites and tether beads, points of "
+            f"the orbit frame; {name}/disturb, {name}/save_snapshot, {name}/restore_snapshot and "
+            f"{name}/get_states are of tss_interfaces"
+        )
+        self._on_answer()
+        return response
+
     async def _get_states(self, _, response):
-        return await self._ask(response, self._do_get_states, response)
+        return await self.ask(response, self._do_get_states, response)
 
     async def _set_state(self, request, response):
         target = request.state.state
         if target == PlayState.STOPPED:
-            return await self._ask(response, self._do_stop)
+            return await self.ask(response, self._do_stop)
         if target in tuple(PlayState):
-            return await self._ask(response, self._control.set_state, PlayState(target))
-        return await self._ask(response, _refuse, f"state is {target}; allowed: 0 to 3")
+            return await self.ask(response, self._control.set_state, PlayState(target))
+        unsupported = target in STATES_OF_WORLDS
+        code = Code.FEATURE_UNSUPPORTED if unsupported else Code.OPERATION_FAILED
+        return await self.ask(response, _refuse, f"state is {target}; allowed: 0 to 3", code)
 
     async def _step(self, request, response):
-        return await self._ask(response, self._control.take_steps, request.steps)
+        return await self.ask(response, self._control.take_steps, request.steps)
 
     async def _reset(self, request, response):
         kind = type(request)
@@ -99,21 +134,35 @@ class SimulationServices:
         spawned = scope == kind.SCOPE_SPAWNED
         if spawned or (scope != kind.SCOPE_ALL and not 0 < scope < 8):
             text = f"scope is {scope}; allowed: 0, 255, or bits 1 (time) and 2 (state)"
-            return await self._ask(response, _refuse, text, Code.FEATURE_UNSUPPORTED)
+            return await self.ask(response, _refuse, text, Code.FEATURE_UNSUPPORTED)
         time, state = bool(scope & kind.SCOPE_TIME), bool(scope & kind.SCOPE_STATE)
-        return await self._ask(response, self._do_reset, time, state)
+        return await self.ask(response, self._do_reset, time, state)
 
     async def _disturb(self, request, response):
-        return await self._ask(response, self._do_disturb, request)
+        return await self.ask(response, self._do_disturb, request)
 
     async def _save(self, request, response):
-        return await self._ask(response, self._do_save, request.file)
+        return await self.ask(response, self._do_save, request.file)
 
     async def _restore(self, request, response):
-        return await self._ask(response, self._do_restore, request.file)
+        return await self.ask(response, self._do_restore, request.file)
 
-    async def _ask(self, response, work, *arguments):
-        """Have the simulation's thread do it, and answer with what became of it."""
+    async def ask(self, response: Any, work: Callable[..., None], *arguments: object) -> Any:
+        """Have the simulation's thread do `work(answer, *arguments)`; fill in what became of it.
+
+        Parameters
+        ----------
+        response : object
+            With a field `result`.
+        work : callable
+            As for `Control.request`.
+        *arguments
+
+        Returns
+        -------
+        object
+            The response.
+        """
         done = Future()
         done.add_done_callback(lambda _: self._node.executor.wake())
         self._control.request(work, *arguments).add_done_callback(done.set_result)

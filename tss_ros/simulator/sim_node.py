@@ -19,12 +19,15 @@ from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
+from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.control import Control
+from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Simulation
+from tss_ros.simulator.steps_action import StepsAction
 
 #: /clock is published at least this often [s]: who comes while time stands still must learn it.
 CLOCK_PERIOD_S = 0.1
@@ -39,6 +42,10 @@ LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 #: Topics that are made only for those who listen.
 FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
+
+
+#: The topics of odometry, one for each satellite.
+ODOMETRY = "{satellite}/odom"
 
 
 class SimNode(TssNode):
@@ -56,8 +63,13 @@ class SimNode(TssNode):
         self._publisher = {
             name: create_publisher(self, topic)
             for name, topic in topics.items()
-            if topic.publisher == "sim_node" and self._options.get(optional.get(name), True)
+            if topic.publisher == "sim_node"
+            and name != ODOMETRY
+            and self._options.get(optional.get(name), True)
         }
+        self._odometry = odometry.OdometryPublishers(
+            self, topics[ODOMETRY], self._options["frame_prefix"]
+        )
         self._recorded = [name for name in self._publisher if topics[name].recorded]
         depth = min(
             self._publisher[name].qos_profile.depth
@@ -85,7 +97,7 @@ class SimNode(TssNode):
         self._recorder_status = self.create_subscription(
             status.message_class, status.name, self._flow.on_status, status.qos
         )
-        SimulationServices(
+        services = SimulationServices(
             self,
             self._control,
             self._make_setup,
@@ -94,10 +106,12 @@ class SimNode(TssNode):
             self._report_status,
             self._options["service_folder"],
         )
+        EntityServices(self, self._control, services.ask, self._on_event, self._frame_id)
+        self._steps_action = StepsAction(self, self._control, services.ask)
         self.every(RECORDER_CHECK_S, self._check_recorders)
         self.every(STATUS_PERIOD_S, self._report_regularly)
         self.every(DIAGNOSTICS_PERIOD_S, self._report_diagnostics)
-        self._measured = (0.0, math.nan)
+        self._measured, self._lags_s = (0.0, math.nan), (0.0, 0.0)
         self._clock_ns, self._clock_due, self._tf_due = None, -math.inf, -math.inf
         self._progress = time.monotonic()
         self._events = []
@@ -114,6 +128,8 @@ class SimNode(TssNode):
         """End the simulation."""
         self._control.stop()
         self._thread.join(timeout=1.0)
+        # destroy_node leaves action servers, and they the node's shared memory.
+        self._steps_action.close()
 
     def set_parameters_atomically(self, parameter_list: Sequence[Parameter]) -> SetParametersResult:
         """Check before anything is set, so that what is refused is refused with our reason."""
@@ -123,7 +139,8 @@ class SimNode(TssNode):
             # Other names than those of shipped scenarios and YAML files are refused unread.
             if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
                 inside(options["service_folder"], scenario, "scenario")
-            systems.build_system(*systems.split_options(options))
+            system, *_ = systems.build_system(*systems.split_options(options))
+            odometry.check(options["odometry"], system)
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -141,6 +158,7 @@ class SimNode(TssNode):
 
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
+        odometry.check(self._options["odometry"], built[0])
         return Setup.of(self._options, *built)
 
     # --- in the simulation's thread
@@ -177,6 +195,7 @@ class SimNode(TssNode):
         self._run = self._control.run
         self._messages = StepMessages(setup.system, setup.tension_n, self._frame_id)
         self._serialised = {}
+        self._odometry.begin(setup.system, setup.options["odometry"])
         self._publisher["system_description"].publish(
             system_description(
                 setup.system,
@@ -205,6 +224,7 @@ class SimNode(TssNode):
         for name in STATE_TOPICS:
             if name not in FOR_VIEWERS or self._publisher[name].get_subscription_count():
                 self._publish_state(name)
+        self._odometry.publish(sample)
         if "/tf" in self._publisher and time.monotonic() >= self._tf_due:
             self._publish_frames()
         self._keep_clock()
@@ -244,11 +264,12 @@ class SimNode(TssNode):
     def _publish_frames(self):
         sample = self._shown[1]
         self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
+        setup, others = self._control.simulation.setup, {}
+        if setup.options["odometry"] == odometry.CENTRE_OF_MASS:
+            centre_m = odometry.centre_of_mass(setup.system, sample.position_m)
+            others[odometry.CENTRE_OF_MASS] = centre_m
         transforms = frames.transforms(
-            self._control.simulation.setup.system,
-            sample.time_ns,
-            sample.position_m,
-            self._options["frame_prefix"],
+            setup.system, sample.time_ns, sample.position_m, self._options["frame_prefix"], others
         )
         publisher = self._publisher["/tf"]
         publisher.publish(publisher.msg_type(transforms=transforms))
@@ -263,13 +284,18 @@ class SimNode(TssNode):
             return
         names = [name for name in (*STATE_TOPICS, "/tf") if name in self._publisher]
         listeners = {name: self._publisher[name].get_subscription_count() for name in names}
+        listeners |= self._odometry.listeners()
         step, before = self._shown[0], self._listeners
         self._listeners = {"step": step, **listeners}
         if self._control.moving or before.get("step") != step:
             return
-        for name in names:
-            if listeners[name] > before[name]:
-                self._publish_frames() if name == "/tf" else self._publish_state(name)
+        for name in [name for name, count in listeners.items() if count > before.get(name, 0)]:
+            if name == "/tf":
+                self._publish_frames()
+            elif name in STATE_TOPICS:
+                self._publish_state(name)
+            else:
+                self._odometry.publish(self._shown[1], name)
 
     def _newest_states(self):
         """BeadStates and TetherStates of the newest state, as messages of their own."""
@@ -326,6 +352,7 @@ class SimNode(TssNode):
 
     def _report_regularly(self):
         self._measured = self._control.meter.read()
+        self._lags_s = self._lags_s[1], self._control.lag_s
         self._report_status()
 
     def _report_status(self):
@@ -352,7 +379,9 @@ class SimNode(TssNode):
                 self.get_fully_qualified_name(),
                 self._status,
                 self._control.late,
-                simulation.setup.publish_period_s / STATUS_PERIOD_S,
+                # In a while that begins late more may go out, and a step more or less.
+                (simulation.setup.publish_period_s + self._lags_s[0] * self._pace.time_scale)
+                / STATUS_PERIOD_S,
                 [names[i] for i in np.flatnonzero(~newest.taut[0]) if i < len(names)],
                 {
                     output: (published - recorder.step, recorder.lost)

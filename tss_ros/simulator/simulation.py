@@ -210,7 +210,7 @@ class Simulation:
     """The motion of one system, state by state, with the changes that users may make to it.
 
     Not for several threads at once. Every change takes effect at the newest state, `newest`. What
-    begins anew or is restored, `take` returns next; a disturbance shows in the state after it.
+    begins anew or is restored, `take` returns next; other changes show in the state after it.
 
     Parameters
     ----------
@@ -280,10 +280,14 @@ class Simulation:
 
     def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
-        state = State(self.newest.position_m + offset_m, self.newest.velocity_m_s + velocity_m_s)
-        changed = self._changed
-        self._begin(self.setup, state, self.newest.time_ns)
-        self._changed = changed
+        newest = self.newest
+        self._change(State(newest.position_m + offset_m, newest.velocity_m_s + velocity_m_s))
+
+    def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
+        """Give one bead a position [m] and a velocity [m/s], each of shape (3,)."""
+        state = State(self.newest.position_m.copy(), self.newest.velocity_m_s.copy())
+        state.position_m[bead], state.velocity_m_s[bead] = position_m, velocity_m_s
+        self._change(state)
 
     def save(self, file: str) -> None:
         """Write a snapshot.
@@ -334,6 +338,20 @@ class Simulation:
         trajectory = _Trajectory(setup, state, self._on_ready)
         self.setup = setup
         self._continue(trajectory, base_ns, trajectory.first())
+
+    def _change(self, state):
+        """Go on from another state, which shows in the state after it."""
+        first, second = self.setup.system.tether_ends.T
+        length_m = np.linalg.norm(state.position_m[first] - state.position_m[second], axis=1)
+        for k in np.flatnonzero(length_m == 0.0):
+            system = self.setup.system
+            raise TssError(
+                f"{system.bead_name[first[k]]} and {system.bead_name[second[k]]} would be in one "
+                f"place; {system.tether_name[k]} between them has no direction there"
+            )
+        changed = self._changed
+        self._begin(self.setup, state, self.newest.time_ns)
+        self._changed = changed
 
     def _continue(self, trajectory, base_ns, state):
         if self._trajectory is not None:

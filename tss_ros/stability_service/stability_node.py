@@ -6,11 +6,8 @@ import threading
 import time
 import traceback
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
@@ -25,9 +22,9 @@ from tss_ros.core import (
     follow,
     sweep,
 )
-from tss_ros.ros import parameters, systems
+from tss_ros.ros import actions, parameters, systems
 from tss_ros.ros import stability_messages as messages
-from tss_ros.ros.node import REQUESTS_QOS, TssNode, run
+from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import create_publisher, read_topics
 from tss_ros.ros.words import check_words
 from tss_ros.stability_service import requests
@@ -35,15 +32,8 @@ from tss_ros.stability_service.progress import FollowProgress, SweepProgress, em
 from tss_ros.sweeps import cluster
 
 PARAMETERS = (parameters.SCENARIO, *parameters.OVERRIDES, *parameters.STABILITY)
-#: Feedback kept for slow clients.
-FEEDBACK_DEPTH = 100
 #: Feedback is published this often [s]: more often, clients would miss some.
 FEEDBACK_PERIOD_S = 0.05
-#: How long [s] a result waits for the last feedback to be taken: once a client of rclpy has the
-#: result, it takes no feedback any more.
-LAST_FEEDBACK_S = 0.2
-#: How long [s] a client may take to read an answer about a goal; each may have sent many goals.
-READING_S = 0.005
 #: Most requests, and most goals, that wait; more are refused.
 MOST_WAITING = 50
 #: How often [s] a goal looks whether it is its turn.
@@ -117,39 +107,15 @@ class StabilityNode(TssNode):
                 self._requests[0].set_result(None)
 
     def _offer(self, kind, name, work, make_progress):
-        """An action whose answers go out as fast as clients read them."""
-        services = f"{name}/_action"
+        on_goal = functools.partial(self._on_goal, kind, name, work, make_progress)
+        return actions.offer(self, kind, name, on_goal)
 
-        async def accept_goal(_):
-            await self.let_clients_read(f"{services}/send_goal", READING_S)
-            return GoalResponse.ACCEPT
-
-        async def accept_cancelling(_):
-            await self.let_clients_read(f"{services}/cancel_goal", READING_S)
-            return CancelResponse.ACCEPT
-
-        return ActionServer(
-            self,
-            kind,
-            name,
-            functools.partial(self._on_goal, kind, work, make_progress, f"{services}/get_result"),
-            goal_callback=accept_goal,
-            cancel_callback=accept_cancelling,
-            callback_group=ReentrantCallbackGroup(),
-            goal_service_qos_profile=REQUESTS_QOS,
-            result_service_qos_profile=REQUESTS_QOS,
-            cancel_service_qos_profile=REQUESTS_QOS,
-            feedback_pub_qos_profile=QoSProfile(depth=FEEDBACK_DEPTH),
-        )
-
-    async def _on_goal(self, kind, work, make_progress, result_service, goal):
-        """Work when it is the goal's turn. A wrong goal is aborted: a rejection has no reason."""
+    async def _on_goal(self, kind, name, work, make_progress, goal):
+        """Work when it is the goal's turn."""
         progress, result = make_progress(), kind.Result()
         if len(self._goals) > MOST_WAITING:
             result.message = f"busy: {MOST_WAITING} goals wait; ask again later"
-            await self.let_clients_read(result_service, READING_S)
-            goal.abort()
-            return result
+            return await actions.finish(self, name, goal, result, False, after_feedback=False)
         feedback = functools.partial(self._publish_feedback, goal, progress)
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(FEEDBACK_PERIOD_S, feedback, clock=clock)
@@ -158,15 +124,7 @@ class StabilityNode(TssNode):
         self._goals.remove(goal)
         self.destroy_timer(timer)
         feedback()
-        await self.sleep(LAST_FEEDBACK_S)
-        await self.let_clients_read(result_service, READING_S)
-        if result.success:
-            goal.succeed()
-        elif goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
-        return result
+        return await actions.finish(self, name, goal, result, result.success)
 
     async def _answer(self, fill_in, response):
         """Fill in a response in a thread of its own, so that the executor stays free."""
