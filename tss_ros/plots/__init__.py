@@ -6,7 +6,7 @@ Figures are built without pyplot, so they share no state and need no screen; the
 from matplotlib.figure import Figure
 
 from tss_ros.plots.charts import stability, stability_map
-from tss_ros.plots.families import family
+from tss_ros.plots.families import family, special_curves
 from tss_ros.plots.mode_shapes import mode_of, mode_shape, save_mode_animation, shown_mode
 from tss_ros.plots.motions import balance, deviation, tethers, trajectories
 
@@ -19,6 +19,7 @@ __all__ = [
     "mode_shape",
     "save_mode_animation",
     "shown_mode",
+    "special_curves",
     "stability",
     "stability_map",
     "tethers",

@@ -21,6 +21,7 @@ from tss_ros.core.stability.modes import stays_in_plane
 
 #: Turns after which the motions of a branch close, by the kind of point it leaves at.
 TURNS = {"branch point": 1, "period doubling": 2}
+BRANCH_KINDS = tuple(TURNS)
 #: Least singular value, over the largest, that leaves a direction free; and how much less it may
 #: be with displacements out of the plane for the direction to lie in the plane.
 FREE, IN_PLANE = 1e-4, 30.0
@@ -66,7 +67,7 @@ def crossing_curve(
     """
     if point.kind not in TURNS:
         raise TssError(
-            f"branch must be a {' or a '.join(TURNS)}, got a {point.kind} at {parameter}"
+            f"branch must be a {' or a '.join(BRANCH_KINDS)}, got a {point.kind} at {parameter}"
             f" {point.parameter:g}"
         )
     low, high = sorted(ends)
