@@ -15,6 +15,7 @@ from tss_ros.core import (
     Propagator,
     TssError,
     compute_floquet,
+    follow,
     formation,
     initial_state,
     ring,
@@ -42,7 +43,12 @@ from tss_ros.scenarios import scenario
     ids=["taut", "C 100", "slack", "C 1, slack", "chain, slack", "hub", "chain"],
 )
 def test_every_matrix_proves_itself_through_slack_too(system, w, fewest_switches):
-    result = compute_floquet(system, w)
+    start = None
+    if system.m < system.n:
+        # The straight chain, which is not on the own family any more.
+        fast = initial_state(system, -3.5)
+        start = follow(system, "spin_rate_ratio", -3.5, w, state=fast).points[-1].state
+    result = compute_floquet(system, w, state=start)
     assert result.switches >= fewest_switches
     largest = max(1.0, result.max_modulus)
     assert result.segment_error < 1e-6 * largest
@@ -146,7 +152,7 @@ def test_no_steady_configuration_is_a_verdict():
         ("five_star", -4.3, -4.1, -4.2028, "axis tilt", -1),
         ("six_star", -2.9, -2.7, -2.8141, "axis tilt", -1),
         ("hub_and_spoke", -2.9, -2.7, -2.8141, "axis tilt", -1),
-        ("chain", -4.35, -4.2, -4.2773, "none found", -1),
+        ("chain", -4.35, -4.2, -4.2710, "none found", -1),
         ("six_bead", -3.22, -3.1, -3.1651, "shape", -1),
     ],
 )

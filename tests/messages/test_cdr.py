@@ -12,6 +12,7 @@ from tss_ros.messages.cdr import Layout, serialised
 from tss_ros.ros.topics import message_class, read_topics
 
 TOPICS = read_topics()
+TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
 DEFINITION = """
 bool flag
 string[] names   # a comment
@@ -40,7 +41,7 @@ def test_the_middleware_reads_an_empty_message_of_every_recorded_type(name):
 
 @settings(max_examples=100, deadline=None)
 @given(
-    names=st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), max_size=4),
+    names=st.lists(TEXTS, max_size=4),
     numbers=st.lists(st.floats(allow_nan=False), max_size=7),
     frame_id=st.sampled_from(["", "o", "orbit"]),
     step=st.integers(0, 2**64 - 1),

@@ -61,6 +61,23 @@ def test_the_tether_law_is_varied_and_named(tmp_path):
         assert picture.size[0] > 1000
 
 
+def test_families_are_tables_with_their_special_points(tmp_path):
+    done = run(
+        "three_star", "--parameter", "damping_n_s_per_m", "--values", "1000", "1450",
+        "--follow", "-2.4", "-2.15", "--output", str(tmp_path),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    slack = {
+        row["damping_n_s_per_m"]: row["parameter"]
+        for row in rows(tmp_path / "special_points") if row["kind"] == "first slack"
+    }  # fmt: skip
+    assert slack == pytest.approx({1000.0: -2.307, 1450.0: -2.171}, abs=2e-3)  # closed form
+    points = rows(tmp_path / "families")
+    assert {row["damping_n_s_per_m"] for row in points} == set(slack)
+    assert "first slack" in done.stdout and "family: " in done.stdout
+    assert all(row["closure_residual"] < 1e-6 for row in points)
+
+
 def test_the_law_is_named_where_another_parameter_is_varied():
     done = run(
         "three_star", "--parameter", "tether_length_m", "--values", "9e3",
@@ -73,7 +90,7 @@ def test_the_law_is_named_where_another_parameter_is_varied():
     "arguments, status, named",
     [
         (("nowhere", "--rates", "-3", "-2", "2"), 1, "'nowhere'"),
-        (("three_star",), 2, "give --rates or --critical"),
+        (("three_star",), 2, "give --rates, --critical or --follow"),
         (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
         (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),

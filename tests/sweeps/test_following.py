@@ -19,7 +19,8 @@ from PIL import Image
 from released_pair import SCENARIO
 from scipy.optimize import brentq
 
-from tss_ros.core import FamilyJob, TssError, follow, ring, sweep
+from tss_ros.core import FamilyJob, TssError, follow, follow_special, ring, sweep
+from tss_ros.plots import special_curves
 from tss_ros.sweeps import families
 
 FOLLOW = [
@@ -56,6 +57,35 @@ def test_a_family_is_the_same_after_it_was_saved_and_loaded(past_first_slack, tm
     assert same(families.load(file), past_first_slack)
     assert families.load_about(file) == {"scenario": "three_star"}
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_curve_of_special_points_is_saved_loaded_and_drawn(past_first_slack, tmp_path):
+    (slack,) = (point for point in past_first_slack.special if point.kind == "first slack")
+    curve = follow_special(ring(), "spin_rate_ratio", slack, "damping_n_s_per_m", 1430.0)
+    file = tmp_path / "curve.parquet"
+    families.save(curve, file)
+    assert same(families.load_curve(file), curve)
+    read, own = pd.read_parquet(file), pd.DataFrame(curve.columns()).drop(columns="multiplier")
+    pd.testing.assert_frame_equal(read[own.columns], own)
+    (axes,) = special_curves([curve]).axes
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), own.parameter)
+    with pytest.raises(TssError, match="holds a curve of special points, not a family"):
+        families.load(file)
+
+
+def test_a_branch_is_followed_from_a_saved_family(tmp_path):
+    pair = ["tether_length_m=1000", "axial_stiffness_n=5e5", "damping_n_s_per_m=500"]
+    common = ["chain", "--override", "satellites=2", *pair]
+    file = tmp_path / "family.parquet"
+    assert run(*common, "--from", 1.3, "--to", 1.2, "--output", file).returncode == 0
+    branch = [*common, "--from", 1.4, "--to", 1.2, "--start", file, "--branch", 1.24]
+    done = run(*branch, "--output", tmp_path / "branch.parquet")
+    assert done.returncode == 0, done.stderr
+    points = families.load(tmp_path / "branch.parquet").points
+    assert points[0].parameter == pytest.approx(1.24207, abs=1e-3)
+    assert abs(points[-1].state.velocity_m_s[0, 2]) > 0.5
+    bad = run(*common, "--from", 1.4, "--to", 1.2, "--branch", 1.24)
+    assert bad.returncode == 2 and "--branch needs --start" in bad.stderr
 
 
 def test_other_programs_read_the_points(past_first_slack, tmp_path):

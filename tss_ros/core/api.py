@@ -30,6 +30,7 @@ from tss_ros.core.stability.parallel import (
 )
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
+from tss_ros.core.stability.special_curves import CurvePoint, SpecialCurve, follow_special
 
 __all__ = [
     "CAUSES",
@@ -46,6 +47,7 @@ __all__ = [
     "ConfirmationJob",
     "Confirmation",
     "CriticalRate",
+    "CurvePoint",
     "Family",
     "FamilyJob",
     "FamilyPoint",
@@ -58,6 +60,7 @@ __all__ = [
     "Propagator",
     "FloquetJob",
     "Satellite",
+    "SpecialCurve",
     "SpecialPoint",
     "State",
     "System",
@@ -73,6 +76,7 @@ __all__ = [
     "elastic_energy",
     "find_critical_rates",
     "follow",
+    "follow_special",
     "formation",
     "in_words",
     "initial_state",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from tss_ros.plots.charts import stability as stability
     from tss_ros.plots.charts import stability_map as stability_map
     from tss_ros.plots.families import family as family
+    from tss_ros.plots.families import special_curves as special_curves
     from tss_ros.plots.mode_shapes import mode_of as mode_of
     from tss_ros.plots.mode_shapes import mode_shape as mode_shape
     from tss_ros.plots.mode_shapes import save_mode_animation as save_mode_animation
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 _PLACES = {
     "matplotlib.figure": ("Figure",),
     "tss_ros.plots.charts": ("stability", "stability_map"),
-    "tss_ros.plots.families": ("family",),
+    "tss_ros.plots.families": ("family", "special_curves"),
     "tss_ros.plots.mode_shapes": ("mode_of", "mode_shape", "save_mode_animation", "shown_mode"),
     "tss_ros.plots.motions": ("balance", "deviation", "tethers", "trajectories"),
 }

@@ -1,13 +1,14 @@
 """Bifurcation diagrams of families of motions."""
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-from tss_ros.core import SPECIAL_KINDS, Family
+from tss_ros.core import SPECIAL_KINDS, Family, SpecialCurve
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, finish, state_law
 
 #: How stable, and how taut, a part of a family is, by look; `None` is any other verdict.
@@ -64,6 +65,38 @@ def family(followed: Family, label: str = "", law: str = "") -> Figure:
     figure.legend(
         handles=_handles(followed, looks), loc="outside lower center", ncols=4, frameon=False
     )
+    return figure
+
+
+def special_curves(
+    curves: Sequence[SpecialCurve], labels: tuple[str, str] = ("", ""), law: str = ""
+) -> Figure:
+    """Where special points lie in the plane of two parameters.
+
+    Parameters
+    ----------
+    curves : sequence of SpecialCurve
+        In the same two parameters, at least one.
+    labels : tuple of str
+        Of the second parameter, which is the abscissa, and of the first; their names if empty.
+    law : str
+        Tether law, stated above; "" for nothing.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = Figure(figsize=(8.0, 5.0), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    for i, curve in enumerate(curves):
+        kind = SPECIAL_KINDS.index(curve.kind)
+        axes.plot(
+            [point.second for point in curve.points], [point.parameter for point in curve.points],
+            color=COLOURS[i % len(COLOURS)], marker=MARKERS[kind], markersize=4, label=curve.kind,
+        )  # fmt: skip
+    axes.legend(frameon=False)
+    finish(axes, labels[0] or curves[0].second, labels[1] or curves[0].parameter)
+    state_law(figure, law)
     return figure
 
 

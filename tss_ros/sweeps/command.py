@@ -21,7 +21,7 @@ from tss_ros.command_line import Parser
 from tss_ros.core import METHODS, Cancelled, TssError, in_words, sweep
 from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
-from tss_ros.sweeps import cluster
+from tss_ros.sweeps import cluster, jobs
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
 from tss_ros.sweeps.store import Store
 
@@ -88,8 +88,9 @@ def table(question: Question, store: Store) -> str:
     if len(question) > MAX_LISTED:
         return "\n".join(_counts(question, store))
     lines = []
-    rates, critical, simulated = (
-        _by_system(question, store, name) for name in (MULTIPLIERS, CRITICAL_RATES, SIMULATIONS)
+    names = MULTIPLIERS, CRITICAL_RATES, SIMULATIONS, jobs.FAMILIES, jobs.SPECIAL_POINTS
+    rates, critical, simulated, families, special = (
+        _by_system(question, store, name) for name in names
     )
     laws = {label: of.tether_law for label, (_, _, of) in zip(question.labels, question.systems)}
     for label, law in laws.items():
@@ -111,6 +112,7 @@ def table(question: Question, store: Store) -> str:
             ]
         if question.interval and label not in critical:
             lines.append("  no critical rate found")
+        lines += _family(families.get(label, ()), special.get(label, ()))
     return "\n".join(lines)
 
 
@@ -166,6 +168,20 @@ def _simulation(row):
         f" growth {row['simulated_growth_per_turn']:8.4f} a turn,"
         f" {row['simulated_switches']} switches: {agrees[row['agrees']]}{_pushing(row)}"
     )
+
+
+def _family(points, special):
+    """The special points of a family, and how far it was followed."""
+    if not points:
+        return
+    for row in special:
+        words = f"{row['kind']}, {row['family']}" if row["family"] else row["kind"]
+        yield f"  {row['parameter']:9.6f} +- {row['uncertainty']:.0e}  {words}"
+    if points[0]["error"]:
+        yield f"  family: {points[0]['error']}"
+    else:
+        why = f": {points[-1]['ended']}" if points[-1]["ended"] else ""
+        yield f"  family: {len(points)} points to {points[-1]['parameter']:.6g}{why}"
 
 
 def _untold(row):
@@ -247,6 +263,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         question = Question(
             options.scenario, options.parameter, options.values, options.rates,
             options.methods, options.critical, options.tolerance, options.confirm,
+            followed=options.follow,
         )  # fmt: skip
         with (
             tempfile.TemporaryDirectory(prefix="sweep_") as scratch,
@@ -334,6 +351,10 @@ def _parse(arguments):
         "--critical", nargs=2, type=float, metavar=("FROM", "TO"),
         help="all critical spin rates between two",
     )  # fmt: skip
+    parser.add_argument(
+        "--follow", nargs=2, type=float, metavar=("FROM", "TO"),
+        help="the own family from one spin rate to another, with its special points",
+    )  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=1e-3, help="of critical rates (0.001)")
     parser.add_argument(
         "--confirm", type=int, default=0, metavar="TURNS",
@@ -361,8 +382,8 @@ def _parse(arguments):
             options.values = [float(value) for value in options.values]
         except ValueError as error:
             parser.error(f"--values of {options.parameter} are numbers: {error}")
-    if not (options.rates or options.critical):
-        parser.error("give --rates or --critical")
+    if not (options.rates or options.critical or options.follow):
+        parser.error("give --rates, --critical or --follow")
     if options.confirm < 0 or options.confirm and not options.critical:
         parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
     if options.workers is not None and options.scheduler:

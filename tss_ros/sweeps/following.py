@@ -101,7 +101,7 @@ def _follow(options, stopped):
     try:
         family = follow(
             system, options.parameter, options.first, options.last, spin_rate_ratio=ratio,
-            state=_start(options, loaded, system), longest_step=options.step,
+            **_start(options, loaded, system), longest_step=options.step,
             most_points=options.points, progress=show, cancelled=stopped.is_set,
         )  # fmt: skip
     finally:
@@ -111,6 +111,7 @@ def _follow(options, stopped):
     print(
         f"{options.scenario}, {options.parameter} from {options.first:g} to {options.last:g}{at},"
         f" {system.tether_law}, {len(family.points)} points"
+        f"{_turns(family)}"
     )
     print(table(family))
     if options.output:
@@ -131,14 +132,21 @@ def _follow(options, stopped):
     return int(bool(family.ended))
 
 
+def _turns(family):
+    return f" that close after {family.turns} turns" if family.turns > 1 else ""
+
+
 def _start(options, loaded, system):
-    """The state to begin with: from a file, the scenario's own, or None."""
+    """The state to begin with, from a file or the scenario, or the point where a branch leaves."""
+    if options.branch is not None:
+        return {"branch": families.branch_from(options.start, options.parameter, options.branch)}
     if options.start is None:
-        return loaded.start(system)
+        return {"state": loaded.start(system)}
     if options.start.suffix != ".parquet":
-        return scenario.read_start(options.start, system)
+        return {"state": scenario.read_start(options.start, system)}
     state = families.start_from(options.start, options.parameter, options.first)
-    return scenario.given_start(system, state.position_m, state.velocity_m_s, str(options.start))
+    where = str(options.start)
+    return {"state": scenario.given_start(system, state.position_m, state.velocity_m_s, where)}
 
 
 def _label(name):
@@ -193,6 +201,11 @@ def _parse(arguments):
         help="begin next to this motion: position_m and velocity_m_s of each bead in YAML or JSON,"
         " or what --output has written (the scenario's velocities, else its own family)",
     )  # fmt: skip
+    parser.add_argument(
+        "--branch", type=float, metavar="VALUE",
+        help="follow the branch that leaves the family in --start at its branch point or period"
+        " doubling next to this value",
+    )  # fmt: skip
     parser.add_argument("--step", type=float, default=0.04, help="longest, over the value (0.04)")
     parser.add_argument("--points", type=int, default=2000, help="at most (2000)")
     parser.add_argument(
@@ -203,6 +216,8 @@ def _parse(arguments):
     options = parser.parse_args([f" {a}" if _is_negative(a) else a for a in arguments])
     if options.rate is not None and options.parameter == SPIN_RATE_RATIO:
         parser.error(f"--rate needs another --parameter than {SPIN_RATE_RATIO}")
+    if options.branch is not None and (not options.start or options.start.suffix != ".parquet"):
+        parser.error("--branch needs --start with a file that --output has written (.parquet)")
     if options.points < 1:
         parser.error(f"--points is {options.points}; allowed: 1 or more")
     if options.output and options.output.suffix != ".parquet":

@@ -14,12 +14,16 @@ from tss_ros.core import (
     ConfirmationJob,
     CriticalRate,
     CriticalRatesJob,
+    FamilyJob,
+    FamilyPoint,
     FloquetJob,
     FloquetResult,
+    SpecialPoint,
     State,
     TssError,
 )
 from tss_ros.core.stability.confirmation import turns_that_tell
+from tss_ros.core.stability.follow import SPIN_RATE_RATIO
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import VARIED
 from tss_ros.sweeps import software
@@ -29,6 +33,7 @@ BESIDE = 0.05
 #: Parameters that may be varied and whose values are texts.
 TEXTS = {parameter.name for parameter in VARIED if parameter.type is str}
 MULTIPLIERS, CRITICAL_RATES, SIMULATIONS = "multipliers", "critical_rates", "simulations"
+FAMILIES, SPECIAL_POINTS = "families", "special_points"
 
 
 @dataclass(frozen=True)
@@ -66,10 +71,34 @@ class Boundaries:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """A job: the own family of a system, followed in the spin rate."""
+
+    family: FamilyJob
+
+    def run(
+        self, cancelled: Callable[[], bool] | None = None
+    ) -> tuple[dict[str, list[dict[str, Any]]], None]:
+        """Rows of `FAMILIES` and `SPECIAL_POINTS`."""
+        found = self.family.run(cancelled)
+        if cancelled is not None and cancelled():
+            raise Cancelled(found.ended)
+        points = [cells_of(point) | {"ended": found.ended} for point in found.points]
+        return {
+            FAMILIES: points,
+            SPECIAL_POINTS: [cells_of(point) for point in found.special],
+        }, None
+
+
+#: The table in which the error of a job stands, by its class; `MULTIPLIERS` for the others.
+_OF_ERRORS = {Boundaries: CRITICAL_RATES, Followed: FAMILIES}
+
+
+@dataclass(frozen=True)
 class Entry:
     """A job with what every row it gives says of it."""
 
-    job: FloquetJob | Boundaries
+    job: FloquetJob | Boundaries | Followed
     cells: dict
 
     def run(self, cancelled: Callable[[], bool] | None = None) -> tuple[str, str | None, float]:
@@ -84,15 +113,15 @@ class Entry:
         failure = None
         try:
             found = self.job.run(cancelled)
-            if isinstance(self.job, Boundaries):
-                tables, failure = found
-            else:
+            if isinstance(self.job, FloquetJob):
                 tables = {MULTIPLIERS: [cells_of(found)]}
+            else:
+                tables, failure = found
         except Cancelled:
             raise
         except TssError as error:
             failure = error
-            name = CRITICAL_RATES if isinstance(self.job, Boundaries) else MULTIPLIERS
+            name = _OF_ERRORS.get(type(self.job), MULTIPLIERS)
             tables = {name: [{"error": str(error)}]}
         rows = {name: [row | self.cells for row in rows] for name, rows in tables.items()}
         error = None if failure is None else str(failure)
@@ -102,7 +131,8 @@ class Entry:
 class Question:
     """What a sweep is asked: every scenario, with every value of a parameter, at every rate.
 
-    Its jobs are numbered, system by system: first every rate, by each method, then the interval.
+    Its jobs are numbered, system by system: first every rate, by each method, then the interval,
+    then the family.
 
     Parameters
     ----------
@@ -121,6 +151,8 @@ class Question:
         Largest uncertainty of a critical rate.
     turns : int
         Length of the simulations `BESIDE` every critical rate; 0 for none.
+    followed : (float, float) or None
+        Spin rates from which and to which the own family is followed.
 
     Raises
     ------
@@ -138,8 +170,10 @@ class Question:
         interval: tuple[float, float] | None,
         tolerance: float,
         turns: int,
+        *,
+        followed: tuple[float, float] | None = None,
     ) -> None:
-        self.parameter, self.methods = parameter, methods
+        self.parameter, self.methods, self.followed = parameter, methods, followed
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
         self.varies_text = parameter in TEXTS
@@ -159,7 +193,7 @@ class Question:
             **{f"scenario {name}": scenario.read_text(name) for name in scenarios},
             "scenarios": scenarios, "parameter": parameter, "values": values,
             "rates": rates, "methods": methods, "critical": interval,
-            "tolerance": tolerance, "confirm": turns,
+            "tolerance": tolerance, "confirm": turns, "follow": followed,
             **{f"version of {name}": value for name, value in software.versions().items()},
         }  # fmt: skip
 
@@ -168,7 +202,8 @@ class Question:
 
     @property
     def _jobs_per_system(self):
-        return len(self.ratios) * len(self.methods) + (self.interval is not None)
+        singles = (self.interval is not None) + (self.followed is not None)
+        return len(self.ratios) * len(self.methods) + singles
 
     def system_index(self, number: int | np.ndarray) -> int | np.ndarray:
         """Which of `systems` a job, or each of an array of jobs, is about."""
@@ -185,6 +220,10 @@ class Question:
         cells = {"job": number, "scenario": name, "tether_law": system.tether_law}
         if self.parameter:
             cells[self.parameter] = value
+        if self.followed is not None and place == self._jobs_per_system - 1:
+            start = self._templates[name].start(system)
+            family = FamilyJob(system, SPIN_RATE_RATIO, *self.followed, state=start)
+            return Entry(Followed(family), cells)
         if place == len(self.ratios) * len(self.methods):
             interval = CriticalRatesJob(system, *self.interval, self.tolerance)
             return Entry(Boundaries(interval, self.turns), cells)
@@ -208,6 +247,8 @@ class Question:
         floquet, why = columns_of(FloquetResult), {"error": str}
         simulated = {f"simulated_{name}": kind for name, kind in columns_of(Confirmation).items()}
         return {
+            FAMILIES: about | columns_of(FamilyPoint) | {"ended": str} | why,
+            SPECIAL_POINTS: about | columns_of(SpecialPoint) | why,
             MULTIPLIERS: about | floquet | why,
             CRITICAL_RATES: about | columns_of(CriticalRate) | why,
             SIMULATIONS: about

@@ -65,6 +65,8 @@ class ClosingEquations:
         Asked now and then; a true answer stops the work.
     scale : float, optional
         By which changes of p are measured; by its value if not given.
+    turns : int
+        After which the motions close.
     """
 
     def __init__(
@@ -76,8 +78,9 @@ class ClosingEquations:
         rtol: float,
         cancelled: Callable[[], bool] | None = None,
         scale: float | None = None,
+        turns: int = 1,
     ):
-        self.scale = scale
+        self.scale, self.turns = scale, turns
         self.at, self.length, self.rtol, self.cancelled = at, length_m, rtol, cancelled
         self.symmetry, self.size = symmetry, 6 * symmetry.successor.size
         self.free = np.arange(self.size)
@@ -118,6 +121,10 @@ class ClosingEquations:
         """The start of a vector y, in the orbit frame."""
         return from_scaled(self.integrator(y), self._start(y))
 
+    def time_s(self, integrator: Integrator) -> float:
+        """[s] that is integrated."""
+        return self.turns * integrator.period_s / self.symmetry.order
+
     def _start(self, y):
         x = np.zeros(self.size)
         x[self.free] = y[:-3]
@@ -126,7 +133,7 @@ class ClosingEquations:
     def shoot(self, y: np.ndarray) -> tuple[np.ndarray, int]:
         """What is left of the equations (k,), and the switches on the way."""
         integrator, x = self.integrator(y), self._start(y)
-        stop = integrator.period_s / self.symmetry.order
+        stop = self.time_s(integrator)
         motion = carried_motion(integrator, from_scaled(integrator, x), stop, self.cancelled)
         return self._left(integrator, motion, x, y), motion.switches
 
@@ -153,7 +160,7 @@ class ClosingEquations:
         Linearised
         """
         integrator, x = self.integrator(y), self._start(y)
-        state, stop = from_scaled(integrator, x), integrator.period_s / self.symmetry.order
+        state, stop = from_scaled(integrator, x), self.time_s(integrator)
         columns = np.eye(self.size) if whole else np.eye(self.size)[:, self.free]
         motion, carried = carry_displacements(
             integrator, integrator.begin(state), columns, stop, self.cancelled
@@ -278,4 +285,3 @@ def solve(
             except IntegrationError:
                 break
     return Solution(y, float(residual), switches, corrections)
-

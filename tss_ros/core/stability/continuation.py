@@ -3,7 +3,9 @@
 The curve of solutions of `closing.ClosingEquations` is followed step by step: along its tangent,
 and back to it by Newton's method across the tangent, so that it may turn round in the parameter
 (E. L. Allgower and K. Georg, Numerical Continuation Methods, 1990). Steps grow where corrections
-are few and shrink where they are not; they are measured over the parameter's unit.
+are few and shrink where they are not; they are measured over the parameter's unit. The bordered
+determinant keeps its sign along a curve but for points where another one crosses: a long step that
+changes it has led to another curve, or across such a point, and is taken again, shorter.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from tss_ros.core.stability.closing import (
     solve,
 )
 
-#: First, longest and shortest step, over the parameter's unit.
-FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.02, 0.08, 1e-6
+#: First, longest and shortest step, over the parameter's unit, and the longest that may cross other
+#: curves.
+FIRST_STEP, LONGEST_STEP, SHORTEST_STEP, CROSSING_STEP = 0.02, 0.08, 1e-6, 1e-3
 #: A step is taken back if the correction is a larger share of it, or the tangent turns by more than
 #: this cosine tells.
 FARTHEST_CORRECTION, STRAIGHT = 0.5, 0.9
@@ -52,6 +55,11 @@ class Point:
     def parameter(self) -> float:
         """Value of the parameter."""
         return float(self.solution.y[-1])
+
+    @property
+    def side(self) -> float:
+        """Sign of the bordered determinant, which changes where another curve crosses."""
+        return float(np.linalg.slogdet(np.vstack([self.linear.jacobian, self.tangent]))[0])
 
 
 class Ended(Exception):
@@ -108,9 +116,34 @@ def _tangent(equations, linear, y, before):
     return tangent / np.linalg.norm(weight * tangent)
 
 
-def beside(
-    equations: ClosingEquations, point: Point, step: float, whole: bool
-) -> Point | None:
+def arrived(
+    equations: ClosingEquations, solution: Solution, before: np.ndarray, whole: bool
+) -> Point:
+    """The point of a solution, with the tangent that goes on in a direction.
+
+    Parameters
+    ----------
+    equations : ClosingEquations
+    solution : Solution
+    before : ndarray
+        That direction, by y.
+    whole : bool
+        See `begin`.
+
+    Returns
+    -------
+    Point
+
+    Raises
+    ------
+    IntegrationError, Cancelled
+        As `ClosingEquations.linearise`.
+    """
+    linear = equations.linearise(solution.y, whole)
+    return Point(solution, linear, _tangent(equations, linear, solution.y, before))
+
+
+def beside(equations: ClosingEquations, point: Point, step: float, whole: bool) -> Point | None:
     """The point of the curve a step along the tangent of another, None if none was found there.
 
     Parameters
@@ -133,10 +166,9 @@ def beside(
             return None
         if np.linalg.norm(weight * (solution.y - ahead)) > FARTHEST_CORRECTION * abs(step):
             return None
-        linear = equations.linearise(solution.y, whole)
+        found = arrived(equations, solution, tangent, whole)
     except IntegrationError:
         return None
-    found = Point(solution, linear, _tangent(equations, linear, solution.y, tangent))
     turned = np.sum(weight**2 * found.tangent * tangent)
     return found if turned > STRAIGHT else None
 
@@ -178,7 +210,8 @@ class Curve:
             if self.equations.cancelled is not None and self.equations.cancelled():
                 raise Cancelled(f"stopped at {self.point.parameter:.6g}")
             after = beside(self.equations, self.point, self._step, self.whole)
-            if after is None:
+            crossing = after is not None and after.side != self.point.side
+            if after is None or (crossing and self._step > CROSSING_STEP):
                 self._step *= 0.5
                 continue
             if after.solution.corrections <= FEW:

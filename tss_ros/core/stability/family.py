@@ -66,6 +66,8 @@ class SpecialPoint:
         Number of the family's point before it.
     state : State
         Start of the motion at the bracket's first end.
+    turns : int
+        After which it closes.
     """
 
     kind: str
@@ -76,6 +78,7 @@ class SpecialPoint:
     family: str
     after: int
     state: State = field(repr=False)
+    turns: int = 1
 
 
 @dataclass(frozen=True)
@@ -91,12 +94,15 @@ class Family:
     special : tuple of SpecialPoint
     ended : str
         Why it stopped before it reached the end that was asked for; "" if it did not.
+    turns : int
+        After which its motions close, and which multipliers count: 2 beyond a period doubling.
     """
 
     parameter: str
     points: tuple[FamilyPoint, ...]
     special: tuple[SpecialPoint, ...]
     ended: str
+    turns: int = 1
 
     def columns(self) -> dict[str, list]:
         """The points as columns of a table, e.g. for pandas.DataFrame, arrays left out."""

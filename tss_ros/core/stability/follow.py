@@ -15,10 +15,11 @@ import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.parameters import PARAMETERS, with_parameter
-from tss_ros.core.model.symmetry import cyclic_symmetry
+from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.stability import continuation, families
 from tss_ros.core.stability.acceptance import look
+from tss_ros.core.stability.branches import crossing_curve
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
@@ -42,6 +43,7 @@ def follow(
     *,
     spin_rate_ratio: float | None = None,
     state: State | None = None,
+    branch: SpecialPoint | None = None,
     longest_step: float = LONGEST_STEP,
     most_points: int = 2000,
     progress: Callable[[float, FamilyPoint], None] | None = None,
@@ -61,6 +63,10 @@ def follow(
         w = omega / Omega for other parameters.
     state : State, optional
         Next to the motion to begin with; that of the formation's own family if not given.
+    branch : SpecialPoint, optional
+        A branch point or period doubling of a family in the same parameter, between `start` and
+        `stop`: the family that crosses there is followed, on the side that goes to `stop`, or else
+        on the one that goes to `start`.
     longest_step : float
         Of the parameter, over its value (over the width of the interval if that holds 0).
     most_points : int
@@ -88,22 +94,39 @@ def follow(
         raise TssError(f"spin_rate_ratio must keep its sign, got {start:g} to {stop:g}")
     for value in (start, stop):
         at(value)
-    run = _Run(at, parameter, start, stop, state, longest_step, cancelled)
-    return run.follow(most_points, progress)
+    if branch is not None:
+        if state is not None:
+            raise TssError("state and branch must not both be given: a branch has its own start")
+        ends, curve = crossing_curve(at, parameter, (start, stop), branch, longest_step, cancelled)
+    else:
+        ends = (start, stop)
+        curve = _own_curve(at, parameter, ends, state, longest_step, cancelled)
+    return Run(at, parameter, *ends, curve, cancelled).follow(most_points, progress)
 
 
-def _systems(system, parameter, spin_rate_ratio):
-    """The function that makes system and spin rate [rad/s] of a value of the parameter."""
+def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
+    """Refuse a parameter that there is not, a fixed rate that is followed, or one that is missing.
+
+    Raises
+    ------
+    TssError
+    """
     if parameter == SPIN_RATE_RATIO:
         if spin_rate_ratio is not None:
             raise TssError(f"spin_rate_ratio is followed, so it has no fixed value;"
                            f" got {spin_rate_ratio:g}")  # fmt: skip
-        return lambda value: (system, system.spin_rate_rad_s(value))
-    if parameter not in PARAMETERS:
+    elif parameter not in PARAMETERS:
         raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
                        f" got {parameter!r}")  # fmt: skip
-    if spin_rate_ratio is None:
+    elif spin_rate_ratio is None:
         raise TssError(f"spin_rate_ratio must be given to follow {parameter}")
+
+
+def _systems(system, parameter, spin_rate_ratio):
+    """The function that makes system and spin rate [rad/s] of a value of the parameter."""
+    check_parameter(parameter, spin_rate_ratio)
+    if parameter == SPIN_RATE_RATIO:
+        return lambda value: (system, system.spin_rate_rad_s(value))
 
     def at(value):
         varied = with_parameter(system, parameter, value)
@@ -112,57 +135,93 @@ def _systems(system, parameter, spin_rate_ratio):
     return at
 
 
-class _Run:
-    """One family under way."""
+def _own_curve(at, parameter, ends, state, longest_step, cancelled):
+    """The curve of motions that begins at the start of an interval."""
+    start, stop = ends
+    system, spin = at(start)
+    ratio = spin / system.orbit_rate_rad_s
+    motion = _first(system, ratio, state, cancelled)
+    equations = ClosingEquations(
+        at, families.size_of(system), stays_in_plane(system, motion.state),
+        symmetry_of(system, motion, ratio, cancelled), families.RTOL, cancelled,
+        None if start * stop > 0.0 else abs(stop - start),
+    )  # fmt: skip
+    y = equations.vector(motion.state, start, motion.spin_loss)
+    if state is not None and (why := look(equations.integrator(y), motion.state).refusal):
+        raise TssError(f"no motion to follow was found from the given state: {why}")
+    first = continuation.begin(equations, y, math.copysign(1.0, stop - start), True)
+    return Curve(equations, first, True, longest_step)
 
-    def __init__(self, at, parameter, start, stop, state, longest_step, cancelled):
+
+def _first(system, ratio, state, cancelled):
+    if state is None:
+        try:
+            return families.own_motion(system, ratio, cancelled)
+        except Ended as end:
+            raise TssError(
+                f"no motion to follow was found at spin_rate_ratio {ratio:g}: {end}"
+            ) from None
+    try:
+        motion = families.nearest_motion(system, ratio, state, cancelled)
+    except IntegrationError as error:
+        raise TssError(f"no motion to follow was found from the given state: {error}") from None
+    if not motion.residual <= CLOSED:
+        raise TssError(
+            "no motion to follow was found from the given state: the best turn closes to"
+            f" {motion.residual:.1e}, {CLOSED:g} is enough"
+        )
+    return motion
+
+
+def symmetry_of(
+    system: System,
+    motion: families.Closed,
+    ratio: float,
+    cancelled: Callable[[], bool] | None = None,
+) -> Symmetry:
+    """The formation's symmetry if the motion has it, else none."""
+    symmetry = cyclic_symmetry(system)
+    equations = families.rate_equations(system, motion.state, symmetry, cancelled)
+    y = equations.vector(motion.state, ratio, motion.spin_loss)
+    left = np.linalg.norm(equations.shoot(y)[0])
+    return symmetry if left <= 10.0 * CLOSED else families.no_symmetry(system)
+
+
+class Run:
+    """One family under way.
+
+    Parameters
+    ----------
+    at : callable
+        As for `ClosingEquations`.
+    parameter : str
+        What it is called.
+    start, stop : float
+        The interval.
+    curve : Curve
+        With derivatives out of the plane.
+    cancelled : callable, optional
+    """
+
+    def __init__(
+        self,
+        at: Callable[[float], tuple[System, float]],
+        parameter: str,
+        start: float,
+        stop: float,
+        curve: Curve,
+        cancelled: Callable[[], bool] | None = None,
+    ):
         self.at, self.parameter, self.start, self.stop = at, parameter, start, stop
         self.sense, self.cancelled = math.copysign(1.0, stop - start), cancelled
-        system, spin = at(start)
-        ratio = spin / system.orbit_rate_rad_s
-        motion = self._first(system, ratio, state, cancelled)
-        scale = None if start * stop > 0.0 else abs(stop - start)
-        self.equations = ClosingEquations(
-            at, families.size_of(system), stays_in_plane(system, motion.state),
-            self._symmetry(system, motion, ratio, cancelled), families.RTOL, cancelled, scale,
-        )  # fmt: skip
-        y = self.equations.vector(motion.state, start, motion.spin_loss)
-        if state is not None and (why := look(self.equations.integrator(y), motion.state).refusal):
-            raise TssError(f"no motion to follow was found from the given state: {why}")
-        first = continuation.begin(self.equations, y, self.sense, True)
-        self.curve = Curve(self.equations, first, True, longest_step)
+        self.equations, self.curve = curve.equations, curve
         self.points, self.special = [], []
 
-    @staticmethod
-    def _first(system, ratio, state, cancelled):
-        if state is None:
-            try:
-                return families.own_motion(system, ratio, cancelled)
-            except Ended as end:
-                raise TssError(
-                    f"no motion to follow was found at spin_rate_ratio {ratio:g}: {end}"
-                ) from None
-        try:
-            motion = families.nearest_motion(system, ratio, state, cancelled)
-        except IntegrationError as error:
-            raise TssError(f"no motion to follow was found from the given state: {error}") from None
-        if not motion.residual <= CLOSED:
-            raise TssError(
-                "no motion to follow was found from the given state: the best turn closes to"
-                f" {motion.residual:.1e}, {CLOSED:g} is enough"
-            )
-        return motion
-
-    @staticmethod
-    def _symmetry(system, motion, ratio, cancelled):
-        """The formation's symmetry if the motion has it, else none."""
-        symmetry = cyclic_symmetry(system)
-        equations = families.rate_equations(system, motion.state, symmetry, cancelled)
-        y = equations.vector(motion.state, ratio, motion.spin_loss)
-        left = np.linalg.norm(equations.shoot(y)[0])
-        return symmetry if left <= 10.0 * CLOSED else families.no_symmetry(system)
-
-    def follow(self, most_points, progress):
+    def follow(
+        self,
+        most_points: int,
+        progress: Callable[[float, FamilyPoint], None] | None = None,
+    ) -> Family:
         """The family, as far as it goes."""
         ended, before = "", self._seen(self.curve.point)
         self._keep(before)
@@ -194,15 +253,39 @@ class _Run:
             ended = str(end)
         except Cancelled:
             ended = f"canceled at {before.point.parameter:.6g}"
-        return Family(self.parameter, tuple(self.points), tuple(self.special), ended)
+        turns = self.equations.turns
+        return Family(self.parameter, tuple(self.points), tuple(self.special), ended, turns)
+
+    def nearest(self, kind: str, most_points: int) -> SpecialPoint | None:
+        """The special point of a kind that is nearest to 0, where the parameter is a distance.
+
+        Raises
+        ------
+        Ended, Cancelled
+            As `Curve.advance`.
+        """
+        before, best = self._seen(self.curve.point), None
+        for _ in range(most_points):
+            after = self._seen(self.curve.advance())
+            self._locate(before, after)
+            found = [special for special in self.special if special.kind == kind]
+            best = min(found, key=lambda special: abs(special.parameter), default=None)
+            farthest = self.stop if best is None else abs(best.parameter)
+            if abs(after.point.parameter) >= farthest and after.point.parameter * self.sense > 0.0:
+                break
+            if (after.point.parameter - self.start) * self.sense < 0.0:
+                break
+            before = after
+        return best
 
     def _seen(self, point):
         """A point with its spectrum."""
         y, equations = point.solution.y, self.equations
         integrator, state = equations.integrator(y), equations.state(y)
+        loss = float(y[-3]) * equations.turns
         matrix = np.linalg.matrix_power(point.linear.matrix, equations.symmetry.order)
         return _Seen(
-            point, spectrum(integrator, state, None, matrix, point.solution.residual, float(y[-3]))
+            point, spectrum(integrator, state, None, matrix, point.solution.residual, loss)
         )
 
     def _last(self, before, beyond):
@@ -254,9 +337,7 @@ class _Run:
         count = np.count_nonzero(a.outside)
         if count != np.count_nonzero(b.outside):
             found.append(
-                self._bracket(
-                    "", a, b, lambda p: np.count_nonzero(self._seen(p).outside) == count
-                )
+                self._bracket("", a, b, lambda p: np.count_nonzero(self._seen(p).outside) == count)
             )
         folds = [point.parameter for point in found if point.kind == "fold"]
         for point in found:
@@ -281,7 +362,7 @@ class _Run:
         return SpecialPoint(
             kind, middle, max(0.5 * abs(last.parameter - first.parameter), rounding),
             spin / system.orbit_rate_rad_s, multiplier, family, len(self.points) - 1,
-            self.equations.state(y),
+            self.equations.state(y), self.equations.turns,
         )  # fmt: skip
 
 

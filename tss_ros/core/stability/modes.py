@@ -114,7 +114,8 @@ def label(
         exponent = np.log(np.where(alive, multiplier, 1.0))
     along = _along(integrator, state, weight, halves) / whole
     at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
-    take(FAMILIES[1], at_one, 2, (along > 0.5) & (np.abs(exponent) < NEAR_ONE), ~above)
+    sure = (along > 0.5) & (np.abs(exponent) < NEAR_ONE)
+    take(FAMILIES[1], at_one, 2, sure, ~above if planar else alive)
     tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
     take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
