@@ -21,7 +21,9 @@ from tss_interfaces.msg import BeadStates
 
 from benchmarks.problems import cut
 from tss_ros.core import Propagator, initial_state, ring
+from tss_ros.messages.steps import STATE_TOPICS
 from tss_ros.runs.processes import Nodes
+from tss_ros.simulator import straight
 
 RATE = -2.9
 #: Beads in all, and simulated turns.
@@ -97,7 +99,20 @@ class Subscriber:
         return begun
 
 
-def with_ros(beads, turns, recorded=False, subscriber=None):
+def straight_into_a_bag(beads, turns):
+    """States a second that `simulate` writes, without ROS."""
+    words = ["three_star", "--turns", str(turns), "--override", f"spin_rate_ratio={RATE}"]
+    words += [f"{name}={value}" for name, value in cut(beads).items()]
+    with tempfile.TemporaryDirectory() as name:
+        options = straight.parse([*words, "--output", f"{name}/bag"])
+        setup = straight.make_setup(options)
+        begun = time.perf_counter()
+        writer = straight.simulate(setup, turns, options.output)
+        seconds = time.perf_counter() - begun
+    return {"states_per_s": writer.message_count / len(STATE_TOPICS) / seconds}
+
+
+def with_ros(beads, turns, recorded=False, in_bulk=False, subscriber=None):
     """States a second that `sim_node` publishes, or that arrive, and how many of how many."""
     parameters = {
         "spin_rate_ratio": RATE,
@@ -110,7 +125,7 @@ def with_ros(beads, turns, recorded=False, subscriber=None):
     }
     with tempfile.TemporaryDirectory() as name, Nodes(Path(name)) as nodes:
         if recorded:
-            nodes.start("logger_node", output=str(Path(name) / "bag"))
+            nodes.start("logger_node", output=str(Path(name) / "bag"), in_bulk=in_bulk)
         nodes.start("sim_node", **parameters)
         begun = subscriber and subscriber.play()
         _ended(nodes, "sim_node")
@@ -145,6 +160,9 @@ def measure(tell=lambda _: None):
         with Subscriber() as subscriber:
             rows["published to a subscriber"] = with_ros(beads, turns, subscriber=subscriber)
         rows["recorded"] = with_ros(beads, turns, recorded=True)
+        rows["recorded in bulk"] = with_ros(beads, turns, recorded=True, in_bulk=True)
+        straight_into_a_bag(beads, 0.01)
+        rows["straight into a bag"] = straight_into_a_bag(beads, turns)
         for name, row in rows.items():
             tell(f"    {beads:4} beads, {name:26} {row['states_per_s']:9.0f} states/s")
     return table

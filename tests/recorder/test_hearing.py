@@ -14,7 +14,7 @@ import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from recorded import recorded_steps, serialised_messages
-from tss_interfaces.msg import BeadStates, SystemDescription
+from tss_interfaces.msg import BeadStates, StepBlock, SystemDescription
 from visualization_msgs.msg import MarkerArray
 
 from tss_ros.bags.recording import read_bag
@@ -76,6 +76,29 @@ def test_malformed_messages_are_left_out_and_named(start, tmp_path):
     assert int(notes["tss_ros.malformed /bead_states"]) == 7
     assert notes["tss_ros.malformed /markers"] == "1"
     assert notes["tss_ros.malformed /system_description"] == "2"
+    recording = read_bag(tmp_path / "bag")
+    assert (recording.step == range(len(recording.step))).all() and len(recording.step) > 100
+
+
+def test_malformed_blocks_are_left_out_and_named(start, tmp_path):
+    logger = start("logger_node", output="bag", in_bulk=True)
+    simulator = start("sim_node", time_scale=400, publish_period_s=1, wait_for_recorder=True)
+    datas = [b"\0\1\0\0", b"\xff" * 200, bytes(serialize_message(StepBlock()))]
+    datas.append(bytes(serialize_message(StepBlock(time_ns=[1], size=[1] * 5, data=[0] * 5))))
+    with ros_harness.client_node() as (node, spin_until):
+        spin_until(recorded_so_far(tmp_path / "bag", 100_000), ros_harness.START_S, "a recording")
+        publisher = node.create_publisher(StepBlock, "step_blocks", 100)
+        spin_until(publisher.get_subscription_count, 20, "the recorder")
+        found = time.monotonic()
+        spin_until(lambda: time.monotonic() > found + 1.0, 5, "a moment")
+        for data in datas:
+            publisher.publish(data)
+        logger.wait_for_line("malformed message of /step_blocks left out, 4 so far: ")
+        size = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+        spin_until(recorded_so_far(tmp_path / "bag", size + 100_000), 20, "more steps")
+    assert simulator.stop() == 0
+    assert logger.stop() == 0, logger.stderr
+    assert notes_of(tmp_path / "bag")["tss_ros.malformed /step_blocks"] == "4"
     recording = read_bag(tmp_path / "bag")
     assert (recording.step == range(len(recording.step))).all() and len(recording.step) > 100
 

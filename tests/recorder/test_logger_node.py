@@ -89,10 +89,11 @@ def reset_a_few_times(simulator):
     return last
 
 
-def test_a_recording_survives_time_going_back(start, tmp_path):
+@pytest.mark.parametrize("in_bulk", [False, True])
+def test_a_recording_survives_time_going_back(start, tmp_path, in_bulk):
     """Every step of every run is in the bag, and each run is described."""
     process = start("sim_node", time_scale=800, wait_for_recorder=True, publish_period_s=2)
-    logger = start("logger_node", output="bag")
+    logger = start("logger_node", output="bag", in_bulk=in_bulk)
     with ros_harness.client_node() as client:
         last = reset_a_few_times(ros_harness.Simulator(*client))
     assert process.stop() == 0 and logger.stop(signal.SIGINT) == 0

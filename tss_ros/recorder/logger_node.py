@@ -16,7 +16,9 @@ from tss_ros.bags.records import BagError
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
+from tss_ros.messages import blocks
 from tss_ros.messages.cdr import step_number
+from tss_ros.messages.steps import STATE_TOPICS
 from tss_ros.recorder.recorded_topic import RecordedTopic
 from tss_ros.recorder.run_order import RunOrder
 from tss_ros.recorder.simulators import Simulators, is_told
@@ -31,6 +33,8 @@ FLUSH_PERIOD_S = 0.25
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
 LEFT_OUT = "left out of "
+#: What is shown live of each step.
+LIVE_TOPICS = ("tether_states", "bead_states")
 
 
 class LoggerNode(TssNode):
@@ -55,21 +59,26 @@ class LoggerNode(TssNode):
         self._last_step = self._reported_step = -1
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0
+        recorded = {name: topic for name, topic in topics.items() if topic.recorded}
+        self._channels = {
+            name: self._writer.add_topic(
+                self.resolve_topic_name(name),
+                topic.type,
+                topic.definition,
+                topic.type_hash,
+                topic.offered_qos,
+            )
+            for name, topic in recorded.items()
+        }
+        heard = dict(recorded)
+        if options["in_bulk"]:
+            heard = {name: t for name, t in recorded.items() if name not in STATE_TOPICS}
+            heard[blocks.TOPIC] = topics[blocks.TOPIC]
+        self._unpacker = blocks.Unpacker()
         self._topics = [
             RecordedTopic(self, topic, self._on_messages, self._on_malformed)
-            for topic in topics.values()
-            if topic.recorded
+            for topic in heard.values()
         ]
-        self._channels = {
-            topic: self._writer.add_topic(
-                topic.full_name,
-                topic.topic.type,
-                topic.topic.definition,
-                topic.topic.type_hash,
-                topic.topic.offered_qos,
-            )
-            for topic in self._topics
-        }
         (self._descriptions,) = (t for t in self._topics if t.name == "system_description")
         self._order = RunOrder(self._descriptions, self._record, self._begin_run)
         self._simulators = Simulators(self, self.get_logger())
@@ -191,9 +200,12 @@ class LoggerNode(TssNode):
         if topic.every_step and data == topic.newest:
             return  # a simulator that stands still repeats it for those who come late
         topic.newest = data
-        self._writer.write(
-            self._channels[topic], data, self._newest_ns, taken.sent_ns, (taken.number or 0) % 2**32
-        )
+        if topic.name == blocks.TOPIC:
+            self._record_block(self._unpacker.unpack(data), taken)
+            return
+        number = (taken.number or 0) % 2**32
+        channel = self._channels[topic.name]
+        self._writer.write(channel, data, self._newest_ns, taken.sent_ns, number)
         if self._live:
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
@@ -206,6 +218,20 @@ class LoggerNode(TssNode):
         slowest_ns = min((time for time in newest if time is not None), default=-1)
         while self._incomplete and self._incomplete[0][0] <= slowest_ns:
             self._last_step = self._incomplete.popleft()[1]
+        self._report_steps()
+
+    def _record_block(self, block, taken):
+        columns = {self._channels[name]: rows for name, rows in block.columns.items()}
+        self._newest_ns = int(block.time_ns[-1])
+        self._writer.write_columns(columns, block.time_ns, taken.sent_ns, block.first_step + 1)
+        if self._live:
+            for rows in zip(*(block.columns[name] for name in LIVE_TOPICS)):
+                for name, row in zip(LIVE_TOPICS, rows):
+                    self._live.take(name, row.tobytes())
+        self._last_step = block.first_step + len(block.time_ns) - 1
+        self._report_steps()
+
+    def _report_steps(self):
         if abs(self._last_step - self._reported_step) >= STATUS_STEPS:
             self._report()
 

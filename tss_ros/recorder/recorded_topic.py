@@ -7,6 +7,9 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.waitable import NumberOfEntities, Waitable
 
+from tss_ros.core import TssError
+from tss_ros.messages import blocks
+from tss_ros.messages.blocks import MAX_STEP
 from tss_ros.messages.cdr import stamp_ns, step_number
 from tss_ros.recorder.taking import Taken, Taker
 from tss_ros.recorder.wellformed import Form, Malformed
@@ -16,8 +19,6 @@ from tss_ros.ros.topics import Topic
 DRAIN_LIMIT = 50
 #: Publishers whose numbers are remembered.
 MOST_PUBLISHERS = 100
-#: Largest step that a message may have.
-MAX_STEP = 2**63 - 1
 
 
 class Message(NamedTuple):
@@ -76,6 +77,7 @@ class RecordedTopic(Waitable):
         self.newest = self.newest_ns = None
         self._form, self._stamp_offset = Form(topic.type), topic.stamp_offset
         self._has_step = topic.name in ("bead_states", "tether_states")
+        self._unpacker = blocks.Unpacker() if topic.name == blocks.TOPIC else None
         self._on_messages, self._on_malformed = on_messages, on_malformed
         self._next_number = {}
         self.subscription = node.create_subscription(
@@ -135,6 +137,11 @@ class RecordedTopic(Waitable):
         self._form.check(data)
         if self._has_step and step_number(data) > MAX_STEP:
             raise Malformed(f"step is {step_number(data)}; allowed: 0 to {MAX_STEP}")
+        if self._unpacker:
+            try:
+                self._unpacker.unpack(data)
+            except TssError as error:
+                raise Malformed(str(error)) from None
 
     # --- for the executor
 

@@ -156,6 +156,10 @@ LOGGER = (
         minimum=0.0, maximum=1e9, default=3600.0, note="0: never",
     ),
     Parameter(
+        "in_bulk", bool, "Take many steps in one message, which is quicker", default=False,
+        note="the simulator then sends the topic step_blocks",
+    ),
+    Parameter(
         "rerun", bool, "Show the motion in a Rerun viewer while it is recorded", default=False
     ),
 )  # fmt: skip

@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, TetherStates
 
 from tss_ros.core import TssError
+from tss_ros.messages import blocks
 from tss_ros.messages.steps import FRAME_ID, STATE_TOPICS, StepMessages, system_description
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.files import inside
@@ -27,6 +28,7 @@ from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Simulation
+from tss_ros.simulator.step_publisher import StepPublisher
 from tss_ros.simulator.steps_action import StepsAction
 
 #: /clock is published at least this often [s]: who comes while time stands still must learn it.
@@ -40,8 +42,6 @@ RECORDER_SILENT_S = 3.0
 #: How long [s] a finished simulator waits for those who listen on each topic.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
-#: Topics that are made only for those who listen.
-FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")
 
 
 #: The topics of odometry, one for each satellite.
@@ -67,6 +67,7 @@ class SimNode(TssNode):
             and name != ODOMETRY
             and self._options.get(optional.get(name), True)
         }
+        self._steps = StepPublisher(self._publisher, self._frame_id)
         self._odometry = odometry.OdometryPublishers(
             self, topics[ODOMETRY], self._options["frame_prefix"]
         )
@@ -166,6 +167,7 @@ class SimNode(TssNode):
     def _simulate(self):
         try:
             self._control.run_until_end()
+            self._steps.flush()
             for name in ("tether_states", "bead_states"):
                 self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
         except Exception as error:
@@ -179,8 +181,10 @@ class SimNode(TssNode):
         if not self._options["wait_for_recorder"]:
             return True
         self.get_logger().info("waiting for a recorder", once=True)
+        in_bulk = self._publisher[blocks.TOPIC].get_subscription_count()
+        names = [name for name in self._recorded if not (in_bulk and name in STATE_TOPICS)]
         return any(recorder.matched for recorder in self._flow.recorders.values()) and all(
-            self._publisher[name].get_subscription_count() for name in self._recorded
+            self._publisher[name].get_subscription_count() for name in names
         )
 
     def _on_event(self, kind, text):
@@ -193,8 +197,7 @@ class SimNode(TssNode):
         """Announce a run that begins with this step."""
         setup = self._control.simulation.setup
         self._run = self._control.run
-        self._messages = StepMessages(setup.system, setup.tension_n, self._frame_id)
-        self._serialised = {}
+        self._steps.begin(setup)
         self._odometry.begin(setup.system, setup.options["odometry"])
         self._publisher["system_description"].publish(
             system_description(
@@ -220,10 +223,8 @@ class SimNode(TssNode):
         if new_run:
             self._describe(step, sample.time_ns)
         self._publish_events(step)
-        self._shown = step, sample, new_run
-        for name in STATE_TOPICS:
-            if name not in FOR_VIEWERS or self._publisher[name].get_subscription_count():
-                self._publish_state(name)
+        self._shown = step, sample
+        self._steps.publish(step, sample, new_run)
         self._odometry.publish(sample)
         if "/tf" in self._publisher and time.monotonic() >= self._tf_due:
             self._publish_frames()
@@ -233,28 +234,10 @@ class SimNode(TssNode):
             turns = sample.time_ns / 1e9 / self._control.simulation.setup.turn_s
             self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
 
-    def _publish_state(self, name):
-        """Publish what this topic says of the newest step."""
-        step, sample, new_run = self._shown
-        if name == "markers" and new_run:
-            rows, row = self._messages.rows(name, step, sample.alone, clearing=True), 0
-        else:
-            rows, row = self._rows(name, step, sample), sample.row
-        self._publisher[name].publish(rows[row].tobytes())
-
-    def _rows(self, name, step, sample):
-        """A topic's messages of all states that were computed with this one, made once."""
-        first_step, begin_ns = step - sample.row, sample.time_ns - sample.states.time_ns[sample.row]
-        states, *place, rows = self._serialised.get(name, (None, None))
-        if states is not sample.states or place != [first_step, begin_ns]:
-            states = sample.states
-            shifted = states._replace(time_ns=states.time_ns + begin_ns)
-            rows = self._messages.rows(name, first_step, shifted)
-            self._serialised[name] = states, first_step, begin_ns, rows
-        return rows
-
     def _publish_events(self, step):
         time_ns = self._control.simulation.newest.time_ns
+        if self._events:
+            self._steps.flush()
         while self._events:
             kind, text = self._events.pop(0)
             self._publisher["simulation_events"].publish(
@@ -275,6 +258,7 @@ class SimNode(TssNode):
         publisher.publish(publisher.msg_type(transforms=transforms))
 
     def _on_idle(self):
+        self._steps.flush()
         self._tell_latecomers()
         return self._keep_clock()
 
@@ -282,7 +266,8 @@ class SimNode(TssNode):
         """Publish the newest step again for those who came while the simulation stands still."""
         if self._shown is None or self._control.begins_run:
             return
-        names = [name for name in (*STATE_TOPICS, "/tf") if name in self._publisher]
+        names = (*STATE_TOPICS, blocks.TOPIC, "/tf")
+        names = [name for name in names if name in self._publisher]
         listeners = {name: self._publisher[name].get_subscription_count() for name in names}
         listeners |= self._odometry.listeners()
         step, before = self._shown[0], self._listeners
@@ -292,8 +277,8 @@ class SimNode(TssNode):
         for name in [name for name, count in listeners.items() if count > before.get(name, 0)]:
             if name == "/tf":
                 self._publish_frames()
-            elif name in STATE_TOPICS:
-                self._publish_state(name)
+            elif name in self._publisher:
+                self._steps.publish_topic(name)
             else:
                 self._odometry.publish(self._shown[1], name)
 

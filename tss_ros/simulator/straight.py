@@ -114,13 +114,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 if the bag has what was asked for, 1 if not, 2 for a wrong command line, 130
         when interrupted.
     """
-    options = _parse(sys.argv[1:] if argv is None else argv)
+    options = parse(sys.argv[1:] if argv is None else argv)
     stopped = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: stopped.set())
     show = _Progress() if sys.stderr.isatty() else None
     begun = time.monotonic()
     try:
-        writer = simulate(_setup(options), options.turns, options.output, show, stopped.is_set)
+        writer = simulate(make_setup(options), options.turns, options.output, show, stopped.is_set)
     except Cancelled:
         print(f"\nsimulate: interrupted; {options.output} has what there was", file=sys.stderr)
         return 130
@@ -134,7 +134,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _setup(options):
+def make_setup(options: argparse.Namespace) -> Setup:
+    """What the run begins with; TssError if there is no such system or configuration."""
     overrides = dict(options.override)
     loaded = scenario.load(options.scenario)
     system = loaded.build(overrides)
@@ -159,7 +160,8 @@ class _Progress:
         print(f"\r{share:.0%}, {left_s:.0f} s left\033[K", end="", file=sys.stderr, flush=True)
 
 
-def _parse(arguments):
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The command line's words; exits with status 2 where they are wrong."""
     parser = Parser(
         prog="simulate",
         description="Simulate straight into a bag, without nodes and without ROS.",
