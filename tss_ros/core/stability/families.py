@@ -228,7 +228,10 @@ class _Front:
             )
         self._idle = 0 if self._reach(before, point) else self._idle + 1
         if self._idle >= MOST_IDLE:
-            raise Ended(f"it turns round in a fold at {self._farthest:.5g}")
+            raise Ended(
+                f"it turns round in a fold at {self._farthest:.5g} and was followed"
+                f" {MOST_IDLE} points beyond"
+            )
         if self._made >= MOST_POINTS:
             raise Ended(f"it was followed to {self._farthest:.5g}, {MOST_POINTS} points")
 
