@@ -6,8 +6,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser
@@ -134,14 +135,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _setup(options):
-    overrides = dict(options.override)
-    loaded = scenario.load(options.scenario)
+def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str, Any]) -> Setup:
+    """What a run of a scenario begins with, as in `sim_node` with the same parameters.
+
+    Parameters
+    ----------
+    scenario_name : str
+        Shipped name or file.
+    overrides : mapping
+        Parameters that differ from the scenario's.
+    run : mapping
+        A value of each of `parameters.RUN`.
+
+    Returns
+    -------
+    Setup
+
+    Raises
+    ------
+    TssError
+        If one of them is not allowed, or if there is no such start.
+    """
+    loaded = scenario.load(scenario_name)
     system = loaded.build(overrides)
-    given = {p.name: p.check(getattr(options, p.name)) for p in RUN}
+    given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
-    said = {"scenario": options.scenario, **overrides, **given}
+    said = {"scenario": scenario_name, **overrides, **given}
     return Setup.of(said, system, ratio, loaded.start(system))
+
+
+def _setup(options):
+    return setup_of(options.scenario, dict(options.override), vars(options))
 
 
 class _Progress:
@@ -179,7 +203,7 @@ def _parse(arguments):
             required=needed, default=parameter.default, help=parameter.text + default,
         )  # fmt: skip
     parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=_override, metavar="NAME=VALUE",
+        "--override", nargs="+", action="extend", default=[], type=override, metavar="NAME=VALUE",
         help="a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
     )  # fmt: skip
     options = parser.parse_args(arguments)
@@ -193,7 +217,8 @@ def _parse(arguments):
     return options
 
 
-def _override(text):
+def override(text: str) -> tuple[str, object]:
+    """`read_assignment` of a word of a command line."""
     try:
         return read_assignment(text)
     except TssError as error:
