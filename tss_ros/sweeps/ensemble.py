@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from tss_ros.core import (
     EnsembleJob,
     TssError,
 )
-from tss_ros.core.stability.confirmation import MOST_TURNS
+from tss_ros.core.stability.confirmation import LOST, MOST_TURNS
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import DISTURBANCE, SPIN_RATE_RATIO
 from tss_ros.sweeps import software, work
@@ -126,6 +127,14 @@ class EnsembleQuestion:
         loaded = scenario.load(scenario_name)
         self.system = loaded.build(self.overrides)
         self._start = loaded.start(self.system)
+        far = LOST * np.max(np.linalg.norm(self.system.layout_m, axis=1))
+        if (push := max(self.pushes)) > far:
+            warnings.warn(
+                f"push of {push:g} m: a bead that is pushed by more than {far:.4g} m,"
+                f" {LOST:g} of the radius, and comes back to its place counts as lost",
+                scenario.ImplausibleValue,
+                stacklevel=2,
+            )
         self._blocks = -(-(last + 1 - first) // MOTIONS_PER_JOB)
         self.description = {
             "ensemble of": scenario.read_text(scenario_name),
@@ -312,7 +321,7 @@ def _wilson(held, count):
 
 
 def story(found: Sequence[HoldProbability]) -> str:
-    """What an ensemble shows, as a title: where half of the motions hold, push by push.
+    """What an ensemble shows, as a title: where most motions hold, push by push.
 
     Parameters
     ----------
@@ -335,7 +344,7 @@ def story(found: Sequence[HoldProbability]) -> str:
     told = [
         f"{', '.join(f'{push:g}' for push in pushes)} m: {fate}" for fate, pushes in words.items()
     ]
-    if len(told) > 4:
+    if len(told) > 3:
         told = [told[0], "...", told[-1]]
     return f"Pushes of {'; '.join(told)}"
 
@@ -346,8 +355,8 @@ def _fate(row):
     above = np.array([one.probability - 0.5 for one in row])
     crossed = np.flatnonzero(np.diff(above >= 0.0))
     if len(crossed) == 1:
-        (k,) = crossed
-        where = ratio[k] - above[k] * (ratio[k + 1] - ratio[k]) / (above[k + 1] - above[k])
-        return f"half hold at {where:.3g}"
+        ends = ratio[crossed[0] : crossed[0] + 2]
+        held, lost = ends if above[crossed[0]] >= 0.0 else ends[::-1]
+        return f"most hold at {held:.4g}, few at {lost:.4g}"
     share = sum(one.held for one in row) / sum(one.held + one.lost for one in row)
-    return {0.0: "none hold", 1.0: "all hold"}.get(share, f"{100 * share:.3g} % hold")
+    return {0.0: "none hold", 1.0: "all hold"}.get(share, f"{share:.1%} hold")
