@@ -17,7 +17,6 @@ from tss_ros.command_line import Parser
 from tss_ros.core import Cancelled, TssError, sweep
 from tss_ros.scenarios.laws import laws_in_words
 from tss_ros.scenarios.parameters import DISTURBANCE, PUBLISH_PERIOD, SPIN_RATE_RATIO, TURNS
-from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.straight import override, setup_of, simulate
 from tss_ros.sweeps import work
 from tss_ros.sweeps.ensemble import (
@@ -117,17 +116,19 @@ def draw(
 class _Bag:
     """A job: a motion of an ensemble, simulated again straight into a bag."""
 
-    setup: Setup
-    turns: int
+    scenario_name: str
+    overrides: dict
+    run_options: dict
     path: Path
 
     def run(self, cancelled: Callable[[], bool] | None = None) -> None:
         """Write it where it is not looked for, and put it in its place when it is whole."""
+        setup = setup_of(self.scenario_name, self.overrides, self.run_options)
         unfinished = self.path.parent / ".unfinished" / self.path.name
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.parent.mkdir(parents=True, exist_ok=True)
         try:
-            simulate(self.setup, self.turns, unfinished, cancelled=cancelled)
+            simulate(setup, self.run_options[TURNS.name], unfinished, cancelled=cancelled)
             unfinished.replace(self.path)
         finally:
             shutil.rmtree(unfinished, ignore_errors=True)
@@ -143,7 +144,7 @@ def write_bags(
     workers: int | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> int:
-    """Write the bags of motions that are asked for and not there yet.
+    """Write the bags of motions that are asked for and not there yet; failed motions have none.
 
     Parameters
     ----------
@@ -166,14 +167,18 @@ def write_bags(
     Raises
     ------
     TssError
-        The first one, if a motion cannot be written; the others are.
+        The first one, if bags cannot be written; the others are.
     Cancelled
         If `cancelled` said so.
     """
     about = [SPIN_RATE_RATIO.name, _PUSH.name, _SEED.name]
     rows = store.table(MOTIONS, [*about, "held"]).to_pylist()
-    states = {True: {"held", "all"}, False: {"lost", "all"}, None: {"all"}}
-    rows = [row for row in rows if {row[_SEED.name], *states[row["held"]]} & set(wanted)]
+    words = {True: {"held", "all"}, False: {"lost", "all"}}
+    rows = [
+        row
+        for row in rows
+        if row["held"] is not None and {row[_SEED.name], *words[row["held"]]} & set(wanted)
+    ]
     paths = [folder / _bag_name(*(row[name] for name in about)) for row in rows]
     missing = [(row, path) for row, path in zip(rows, paths) if not path.exists()]
 
@@ -182,7 +187,7 @@ def write_bags(
             overrides = question.overrides | {about[0]: row[about[0]]}
             run = {name: row[name] for name in about[1:]}
             run |= {PUBLISH_PERIOD.name: publish_period_s, TURNS.name: question.turns}
-            yield _Bag(setup_of(question.scenario_name, overrides, run), question.turns, path)
+            yield _Bag(question.scenario_name, overrides, run, path)
 
     there, failure = len(rows) - len(missing), None
     progress = work.Progress(there, len(rows), what="bags")
