@@ -140,7 +140,7 @@ def test_files_are_the_same_to_the_last_bit_wherever_the_motions_were_made(
 
 
 def test_interrupted_it_keeps_what_is_done_and_the_same_command_goes_on(tmp_path, finished):
-    slow = [*WORDS[:-1], "600"]
+    slow = [*WORDS[:-1], "300"]
     process = subprocess.Popen(
         [*ENSEMBLE, *slow, "--output", tmp_path, "--workers", "1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -160,8 +160,8 @@ def test_interrupted_it_keeps_what_is_done_and_the_same_command_goes_on(tmp_path
     assert kept.num_rows in range(10 * done, 50 * done + 1) and kept["error"].null_count == len(
         kept
     )
-    assert "three_star, kelvin_voigt, 600 turns, seeds 3 to 62" in out
-    with pytest.raises(TssError, match="turns is 600 there and 3 here"):
+    assert "three_star, kelvin_voigt, 300 turns, seeds 3 to 62" in out
+    with pytest.raises(TssError, match="turns is 300 there and 3 here"):
         ensemble(*ASKED, output=tmp_path)
 
     # Of the ensemble that is done already, what was lost is done again, and nothing else.
@@ -175,7 +175,7 @@ def test_interrupted_it_keeps_what_is_done_and_the_same_command_goes_on(tmp_path
     with closing(sqlite3.connect(part / "manifest.sqlite")) as database:
         assert database.execute("SELECT * FROM job WHERE id < 5").fetchall() == before
     assert done_in(part) == 8 and files(part) == files(finished)
-    assert "All" not in again.stdout and "most hold at -2.5, few at -1.9" in again.stdout
+    assert "All" not in again.stdout and "most hold at -2.5, most are lost at -1.9" in again.stdout
     assert (part / "map.png").stat().st_size > 10_000
 
 
@@ -252,14 +252,14 @@ def test_the_title_says_where_motions_hold():
     mixed = [True, True, True, False]
     edge = [(w, push, yes if w < -2.2 else no) for w in (-3.0, -2.25, -2.15) for push in (5.0, 9.0)]
     assert story(probabilities(made_up(*edge))) == (
-        "Pushes of 5, 9 m: most hold at -2.25, few at -2.15"
+        "After pushes of 5, 9 m: most hold at -2.25, most are lost at -2.15"
     )
     turned = [(-w, push, motions) for w, push, motions in edge[::-1]]
     assert story(probabilities(made_up(*turned))) == (
-        "Pushes of 9, 5 m: most hold at 2.25, few at 2.15"
+        "After pushes of 9, 5 m: most hold at 2.25, most are lost at 2.15"
     )
     assert story(probabilities(made_up((-3.0, 5.0, yes), (-3.0, 9.0, mixed)))) == (
-        "Pushes of 5 m: all hold; 9 m: 75.0% hold"
+        "After pushes of 5 m: all hold; 9 m: 75.0% hold"
     )
     assert story(probabilities(made_up((-3.0, 5.0, no)))) == "None of 4 disturbed motions held"
     assert story([]) == "No motion could be simulated"

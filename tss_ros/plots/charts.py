@@ -210,7 +210,7 @@ def hold_probability(
             axes.axvline(rate, color=INK, linewidth=0.9, linestyle="--", label=label)
     if axes.get_legend_handles_labels()[0]:
         legend_below(figure, axes, columns=4)
-    axes.set_title(title)
+    axes.set_title(title, fontsize="medium")
     state_law(figure, law)
     return figure
 

@@ -15,7 +15,6 @@ import numpy as np
 from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import Cancelled, TssError, sweep
-from tss_ros.scenarios.laws import laws_in_words
 from tss_ros.scenarios.parameters import DISTURBANCE, PUBLISH_PERIOD, SPIN_RATE_RATIO, TURNS
 from tss_ros.simulator.straight import override, setup_of, simulate
 from tss_ros.sweeps import work
@@ -102,13 +101,12 @@ def draw(
         share[at], low[at], high[at] = one.probability, one.low, one.high
     critical = store.table(CRITICAL_RATES, [SPIN_RATE_RATIO.name])[0].drop_null().to_pylist()
     first, last = question.seeds
-    counted = f"{question.turns} turns, {last + 1 - first} motions a point"
+    counted = f"{question.turns} turns, {last + 1 - first} motions a point, {CONFIDENCE:.0%} bands"
     order = np.argsort(question.pushes)
     return plots.hold_probability(
         np.array(question.ratios), np.array(question.pushes)[order], share[:, order],
-        (low[:, order], high[:, order]), critical, story(found),
-        f"{laws_in_words([(question.system.tether_law, math.nan)])}; {question.scenario_name},"
-        f" {counted}",
+        (low[:, order], high[:, order]), critical, story(found).replace("; ", ";\n"),
+        f"{question.system.tether_law}; {question.scenario_name}, {counted}",
     )  # fmt: skip
 
 

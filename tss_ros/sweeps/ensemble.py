@@ -346,7 +346,7 @@ def story(found: Sequence[HoldProbability]) -> str:
     ]
     if len(told) > 3:
         told = [told[0], "...", told[-1]]
-    return f"Pushes of {'; '.join(told)}"
+    return f"After pushes of {'; '.join(told)}"
 
 
 def _fate(row):
@@ -357,6 +357,6 @@ def _fate(row):
     if len(crossed) == 1:
         ends = ratio[crossed[0] : crossed[0] + 2]
         held, lost = ends if above[crossed[0]] >= 0.0 else ends[::-1]
-        return f"most hold at {held:.4g}, few at {lost:.4g}"
+        return f"most hold at {held:.4g}, most are lost at {lost:.4g}"
     share = sum(one.held for one in row) / sum(one.held + one.lost for one in row)
     return {0.0: "none hold", 1.0: "all hold"}.get(share, f"{share:.1%} hold")

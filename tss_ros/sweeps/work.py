@@ -61,11 +61,10 @@ def compute(
 @contextlib.contextmanager
 def opened(question: Asked, output: Path | None) -> Iterator[Store]:
     """The store of a question in a folder, or in one that goes afterwards."""
-    with (
-        tempfile.TemporaryDirectory(prefix=f"{question.name}_") as scratch,
-        Store(output or Path(scratch), question) as store,
-    ):
-        yield store
+    with contextlib.ExitStack() as stack:
+        if output is None:
+            output = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=question.name)))
+        yield stack.enter_context(Store(output, question))
 
 
 def work(
