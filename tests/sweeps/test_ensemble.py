@@ -261,6 +261,10 @@ def test_the_title_says_where_motions_hold():
     assert story(probabilities(made_up((-3.0, 5.0, yes), (-3.0, 9.0, mixed)))) == (
         "After pushes of 5 m: all hold; 9 m: 75.0% hold"
     )
+    many = [(-3.0, push, yes) for push in (1.0, 2.0, 3.0)] + [(-3.0, 4.0, no)]
+    assert story(probabilities(made_up(*many))) == (
+        "After pushes of 1 to 3 m: all hold; 4 m: none hold"
+    )
     assert story(probabilities(made_up((-3.0, 5.0, no)))) == "None of 4 disturbed motions held"
     assert story([]) == "No motion could be simulated"
 

@@ -165,6 +165,7 @@ def hold_probability(
     critical: Sequence[float] = (),
     title: str = "",
     law: str = "",
+    confidence: float = 0.95,
 ) -> Figure:
     """How probably a disturbed formation holds: a curve for each push, or a map of many pushes.
 
@@ -181,6 +182,8 @@ def hold_probability(
         Critical rates to mark.
     title, law : str
         What it shows, and under which tether law; "" for nothing.
+    confidence : float
+        Of the intervals.
 
     Returns
     -------
@@ -204,6 +207,7 @@ def hold_probability(
         axes.grid(False)
     else:
         _hold_curves(axes, spin_rate_ratio, disturbance_m, probability, bounds)
+        axes.set_ylabel(f"{_HOLD}\n(bands: {confidence:.0%} confidence)")
     if len(spin_rate_ratio) > 1:
         for i, rate in enumerate(critical):
             label = "critical rate" if i == 0 else None

@@ -101,12 +101,12 @@ def draw(
         share[at], low[at], high[at] = one.probability, one.low, one.high
     critical = store.table(CRITICAL_RATES, [SPIN_RATE_RATIO.name])[0].drop_null().to_pylist()
     first, last = question.seeds
-    counted = f"{question.turns} turns, {last + 1 - first} motions a point, {CONFIDENCE:.0%} bands"
+    counted = f"{question.turns} turns, {last + 1 - first} motions a point"
     order = np.argsort(question.pushes)
     return plots.hold_probability(
         np.array(question.ratios), np.array(question.pushes)[order], share[:, order],
         (low[:, order], high[:, order]), critical, story(found).replace("; ", ";\n"),
-        f"{question.system.tether_law}; {question.scenario_name}, {counted}",
+        f"{question.system.tether_law}; {question.scenario_name}, {counted}", CONFIDENCE,
     )  # fmt: skip
 
 

@@ -338,15 +338,21 @@ def story(found: Sequence[HoldProbability]) -> str:
     held = sum(one.held for one in known)
     if held in (0, count):
         return f"{'All' if held else 'None'} of {count} disturbed motions held"
-    words = {}
-    for push in dict.fromkeys(one.disturbance_m for one in known):
+    words, pushes = {}, list(dict.fromkeys(one.disturbance_m for one in known))
+    for push in pushes:
         words.setdefault(_fate([o for o in known if o.disturbance_m == push]), []).append(push)
-    told = [
-        f"{', '.join(f'{push:g}' for push in pushes)} m: {fate}" for fate, pushes in words.items()
-    ]
+    told = [f"{_listed(some, pushes)} m: {fate}" for fate, some in words.items()]
     if len(told) > 3:
         told = [told[0], "...", told[-1]]
     return f"After pushes of {'; '.join(told)}"
+
+
+def _listed(some, pushes):
+    """Some of the pushes in words; three or more that follow each other by their ends."""
+    first = pushes.index(some[0])
+    if len(some) > 2 and some == pushes[first : first + len(some)]:
+        return f"{some[0]:g} to {some[-1]:g}"
+    return ", ".join(f"{push:g}" for push in some)
 
 
 def _fate(row):
