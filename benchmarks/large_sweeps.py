@@ -23,9 +23,9 @@ import psutil
 
 from tss_ros.core import sweep
 from tss_ros.sweeps import cluster
-from tss_ros.sweeps.command import compute
 from tss_ros.sweeps.jobs import Question
 from tss_ros.sweeps.store import Store
+from tss_ros.sweeps.work import compute
 
 #: Taut formations spin fast; slower than their critical rate tethers go slack.
 FAST, SLOW = (-6.0, -3.3), (-2.0, -0.5)

@@ -20,6 +20,7 @@ COMMANDS = {
         "stability": ("stability", "ask a running stability node about spin rates"),
         "sweep": ("sweep", "stability over spin rates, scenarios and a parameter's values"),
         "follow": ("follow", "follow a family of motions in the spin rate or a parameter"),
+        "ensemble": ("ensemble", "disturb a formation thousands of times: how probably it holds"),
     },
     "Recordings": {
         "summary": ("summary", "say what a bag holds"),

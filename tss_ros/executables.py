@@ -20,6 +20,7 @@ EXECUTABLES = {
     "stability": "stability_service.client:main",
     "sweep": "sweeps.command:main",
     "follow": "sweeps.following:main",
+    "ensemble": "simulator.ensemble:main",
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
     "review": "review.review:main",
@@ -35,7 +36,7 @@ EXECUTABLES = {
 }
 #: Those that work where there is no ROS 2.
 WITHOUT_ROS = {"sweep", "follow", "review", "recover", "verify", "summary", "plot", "export"}
-WITHOUT_ROS |= {"compile", "bench", "completion", "simulate"}
+WITHOUT_ROS |= {"compile", "bench", "completion", "ensemble", "simulate"}
 
 
 def __getattr__(name: str) -> Callable[[], int]:

@@ -75,6 +75,8 @@ def test_every_executable_refuses_words_that_it_does_not_know(word, expected):
     bag = dict.fromkeys(("review", "recover", "verify", "play", "summary", "plot"), ["bag"])
     needed = {**bag, "export": ["bag", "--csv", "x"], "stability": ["-2"], "sweep": ["x"]}
     needed["follow"] = ["--from=-3", "--to=-2"]
+    needed["simulate"] = ["--turns", "1", "--output", "x"]
+    needed["ensemble"] = ["--rates", "-3", "-2", "2", "--pushes", "1"]
     for name, (status, out, errors) in answers_of_all(word, **needed).items():
         assert (status, out) == (2, ""), (name, out, errors)
         assert expected in errors.splitlines()[-1], (name, errors)

@@ -22,9 +22,9 @@ import tss_ros
 from tss_ros.core import Cancelled, CriticalRatesJob, FloquetJob, TssError, compute_floquet, ring
 from tss_ros.scenarios import scenario
 from tss_ros.sweeps import cluster, command
-from tss_ros.sweeps.command import compute
 from tss_ros.sweeps.jobs import Question
 from tss_ros.sweeps.store import Store
+from tss_ros.sweeps.work import compute
 
 #: 2 systems by 3 rates by 2 methods, and an interval each; w = 0 fails, slow spin goes slack.
 ARGUMENTS = (

@@ -8,7 +8,7 @@ from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
-from tss_ros.core.stability.confirmation import Confirmation, confirm
+from tss_ros.core.stability.confirmation import Confirmation, DisturbedMotion, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
 from tss_ros.core.stability.family import SPECIAL_KINDS, Family, FamilyPoint, SpecialPoint
 from tss_ros.core.stability.floquet import compute_floquet
@@ -24,6 +24,7 @@ from tss_ros.core.stability.modes import FAMILIES
 from tss_ros.core.stability.parallel import (
     ConfirmationJob,
     CriticalRatesJob,
+    EnsembleJob,
     FamilyJob,
     FloquetJob,
     sweep,
@@ -48,6 +49,8 @@ __all__ = [
     "Confirmation",
     "CriticalRate",
     "CurvePoint",
+    "DisturbedMotion",
+    "EnsembleJob",
     "Family",
     "FamilyJob",
     "FamilyPoint",

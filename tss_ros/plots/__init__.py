@@ -12,6 +12,7 @@ from tss_ros.extras import advice
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure
 
+    from tss_ros.plots.charts import hold_probability as hold_probability
     from tss_ros.plots.charts import stability as stability
     from tss_ros.plots.charts import stability_map as stability_map
     from tss_ros.plots.families import family as family
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "matplotlib.figure": ("Figure",),
-    "tss_ros.plots.charts": ("stability", "stability_map"),
+    "tss_ros.plots.charts": ("hold_probability", "stability", "stability_map"),
     "tss_ros.plots.families": ("family", "special_curves"),
     "tss_ros.plots.mode_shapes": ("mode_of", "mode_shape", "save_mode_animation", "shown_mode"),
     "tss_ros.plots.motions": ("balance", "deviation", "tethers", "trajectories"),

@@ -6,16 +6,18 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser
-from tss_ros.core import Cancelled, Propagator, TssError
+from tss_ros.core import Cancelled, IntegrationError, Propagator, TssError
 from tss_ros.messages.steps import STATE_TOPICS, StepMessages, system_description
 from tss_ros.messages.topics import read_topics
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, read_assignment
+from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import MAX_TIME_S, compute_states, last_index
 
@@ -96,7 +98,16 @@ def _write(setup, last, writer, on_progress, cancelled):
     while first <= last:
         if cancelled and cancelled():
             raise Cancelled(f"stopped at state {first}")
-        states = compute_states(setup, propagator, first, min(most, last + 1 - first), cancelled)
+        before = make_checkpoint(propagator, first)
+        try:
+            count = min(most, last + 1 - first)
+            states = compute_states(setup, propagator, first, count, cancelled)
+        except IntegrationError:
+            if most == 1:
+                raise
+            resume(propagator, before)
+            most = 1  # what there is before the end goes into the bag state by state
+            continue
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
         writer.write_columns(columns, states.time_ns, time.time_ns(), first + 1)
         writer.flush()
@@ -135,14 +146,41 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def make_setup(options: argparse.Namespace) -> Setup:
-    """What the run begins with; TssError if there is no such system or configuration."""
-    overrides = dict(options.override)
-    loaded = scenario.load(options.scenario)
+    """What the run of a command line begins with; see `setup_of`."""
+    return setup_of(options.scenario, dict(options.override), vars(options))
+
+
+def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str, Any]) -> Setup:
+    """What a run of a scenario begins with, as in `sim_node` with the same parameters.
+
+    Parameters
+    ----------
+    scenario_name : str
+        Shipped name or file.
+    overrides : mapping
+        Parameters that differ from the scenario's.
+    run : mapping
+        A value of each of `parameters.RUN`.
+
+    Returns
+    -------
+    Setup
+
+    Raises
+    ------
+    TssError
+        If one of them is not allowed, or if there is no such start.
+    """
+    loaded = scenario.load(scenario_name)
     system = loaded.build(overrides)
-    given = {p.name: p.check(getattr(options, p.name)) for p in RUN}
+    given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
-    said = {"scenario": options.scenario, **overrides, **given}
+    said = {"scenario": scenario_name, **overrides, **given}
     return Setup.of(said, system, ratio, loaded.start(system))
+
+
+def _setup(options):
+    return setup_of(options.scenario, dict(options.override), vars(options))
 
 
 class _Progress:
@@ -181,7 +219,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             required=needed, default=parameter.default, help=parameter.text + default,
         )  # fmt: skip
     parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=_override, metavar="NAME=VALUE",
+        "--override", nargs="+", action="extend", default=[], type=override, metavar="NAME=VALUE",
         help="a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
     )  # fmt: skip
     options = parser.parse_args(arguments)
@@ -195,7 +233,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def _override(text):
+def override(text: str) -> tuple[str, object]:
+    """`read_assignment` of a word of a command line."""
     try:
         return read_assignment(text)
     except TssError as error:

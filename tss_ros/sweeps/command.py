@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import signal
 import sys
-import tempfile
 import threading
-import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -18,59 +14,15 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.command_line import Parser
-from tss_ros.core import METHODS, Cancelled, TssError, in_words, sweep
+from tss_ros.core import METHODS, TssError, in_words
 from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
-from tss_ros.sweeps import cluster, jobs
+from tss_ros.sweeps import jobs, work
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
 from tss_ros.sweeps.store import Store
 
 #: More rates than this are counted on the screen instead of being listed.
 MAX_LISTED = 1000
-#: How often [s] the line that shows progress is renewed.
-PROGRESS_S = 0.2
-
-
-def compute(
-    question: Question,
-    store: Store,
-    workers: int | None = None,
-    scheduler: str = "",
-    on_job_done: Callable[[], object] | None = None,
-    cancelled: Callable[[], bool] | None = None,
-) -> None:
-    """Do and record the jobs that are missing from a store.
-
-    Parameters
-    ----------
-    question : Question
-    store : Store
-    workers : int, optional
-        Threads of this process; as many as there are cores if not given.
-    scheduler : str
-        Address of a Dask scheduler whose workers do it instead; "" for none.
-    on_job_done : callable, optional
-        Called after every job.
-    cancelled : callable, optional
-
-    Raises
-    ------
-    TssError
-        If the sweep cannot go on; jobs that fail are recorded and raise nothing.
-    Cancelled
-        If `cancelled` said so.
-    """
-    missing = store.missing(len(question))
-    jobs = (question.job(number) for number in missing)
-    if scheduler:
-        outcomes = cluster.sweep(jobs, scheduler, cancelled)
-    else:
-        outcomes = sweep(jobs, workers, cancelled)
-    with contextlib.closing(outcomes):
-        for index, outcome in outcomes:
-            store.record(missing[index], *outcome)
-            if on_job_done:
-                on_job_done()
 
 
 def table(question: Question, store: Store) -> str:
@@ -265,71 +217,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.methods, options.critical, options.tolerance, options.confirm,
             followed=options.follow,
         )  # fmt: skip
-        with (
-            tempfile.TemporaryDirectory(prefix="sweep_") as scratch,
-            Store(options.output or Path(scratch), question) as store,
-        ):
-            return _sweep(question, store, options, stopped.is_set)
+        with work.opened(question, options.output) as store:
+
+            def show():
+                print(table(question, store))
+                if options.output:
+                    draw(question, store).savefig(options.output / "map.png")
+
+            return work.work(question, store, options, stopped.is_set, show)
     except (TssError, OSError) as error:
         print(f"sweep: {error}", file=sys.stderr)
         return 1
-
-
-def _sweep(question, store, options, cancelled):
-    """Do what is missing and show what there is."""
-    status, total = 0, len(question)
-    if options.retry:
-        store.forget_failures()
-    show = _Progress(store, total) if sys.stderr.isatty() else None
-    again = "; the same command goes on from here" if options.output else ""
-    try:
-        compute(question, store, options.workers, options.scheduler, show, cancelled)
-        words = ""
-    except Cancelled:
-        words, status = "interrupted", 130
-    except (TssError, OSError) as error:
-        words, status = str(error), 1
-    if show:
-        print(file=sys.stderr)
-    if words:
-        print(f"sweep: {words}; {store.done} of {total} jobs are done{again}", file=sys.stderr)
-    store.flush()
-    print(table(question, store))
-    if options.output:
-        draw(question, store).savefig(options.output / "map.png")
-    if failure := store.failures().fetchone():
-        number, error = failure
-        again = "; --retry runs them again" if options.output else ""
-        print(
-            f"sweep: {store.failed} of {total} jobs failed, first {question.label(number)}:"
-            f" {error}{again}",
-            file=sys.stderr,
-        )
-    return status or int(failure is not None)
-
-
-class _Progress:
-    """The line on a terminal that says how far a sweep is; called after each job."""
-
-    def __init__(self, store, total):
-        self._store, self._total = store, total
-        self._first, self._begun, self._shown = store.done, time.monotonic(), -PROGRESS_S
-
-    def __call__(self):
-        done, now = self._store.done, time.monotonic()
-        if now - self._shown < PROGRESS_S and done < self._total:
-            return
-        self._shown = now
-        rate = (done - self._first) / max(now - self._begun, 1e-9)
-        left = int((self._total - done) / rate)
-        print(
-            f"\r{done} of {self._total} jobs, {rate:.3g}/s,"
-            f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left,"
-            f" {self._store.failed} failed\033[K",
-            end="",
-            file=sys.stderr,
-            flush=True,
-        )
 
 
 def _parse(arguments):
@@ -364,16 +262,7 @@ def _parse(arguments):
         "--parameter", default="", help=f"parameter to vary: {', '.join(names(VARIED))}"
     )
     parser.add_argument("--values", nargs="+", default=[], metavar="VALUE")
-    parser.add_argument("--workers", type=int, help="jobs at a time (all cores)")
-    parser.add_argument(
-        "--scheduler", default="", metavar="ADDRESS",
-        help="of a Dask cluster that does the jobs instead, e.g. tcp://127.0.0.1:8786",
-    )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR",
-        help="keep Parquet tables and a map there, and go on with what is there",
-    )  # fmt: skip
-    parser.add_argument("--retry", action="store_true", help="run jobs that failed there again")
+    work.add_options(parser, "Parquet tables and a map")
     options = parser.parse_args(arguments)
     if bool(options.parameter) != bool(options.values):
         parser.error("--parameter and --values go together")
@@ -386,14 +275,8 @@ def _parse(arguments):
         parser.error("give --rates, --critical or --follow")
     if options.confirm < 0 or options.confirm and not options.critical:
         parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
-    if options.workers is not None and options.scheduler:
-        parser.error("--workers are this machine's; those of --scheduler are started beside it")
-    if options.retry and not options.output:
-        parser.error("--retry needs --output")
+    work.check_options(parser, options)
     options.methods = [method for method in METHODS if method in options.methods]
     if options.rates:
-        first, last, count = options.rates
-        if not (count == int(count) and 1 <= count <= 1_000_000):
-            parser.error(f"COUNT is {count:g}; allowed: whole numbers from 1 to 1000000")
-        options.rates = first, last, int(count)
+        options.rates = work.read_rates(parser, options.rates)
     return options

@@ -160,6 +160,8 @@ class Question:
         If a scenario or a value is not allowed.
     """
 
+    name = "sweep"
+
     def __init__(
         self,
         scenarios: Sequence[str],

@@ -11,14 +11,15 @@ import json
 import os
 import sqlite3
 import time
+from collections.abc import Sized
 from pathlib import Path
+from typing import Any, Protocol
 
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.parquet
 
 from tss_ros.core import TssError
-from tss_ros.sweeps.jobs import Question
 
 #: Jobs whose results share a file.
 BLOCK = 10_000
@@ -39,13 +40,31 @@ CREATE TABLE IF NOT EXISTS not_in_parquet (id INTEGER PRIMARY KEY, rows TEXT);
 """
 
 
+class Asked(Sized, Protocol):
+    """What has jobs with numbers from 0 on: `jobs.Question`, `ensemble.EnsembleQuestion`."""
+
+    #: What it is called: "sweep" or "ensemble".
+    name: str
+    #: All that its results depend on.
+    description: dict[str, Any]
+
+    def job(self, number: int) -> Any:
+        """The job of a number: its `run` gives what `jobs.Entry.run` does."""
+
+    def label(self, number: int) -> str:
+        """What a job is about, in words."""
+
+    def columns(self) -> dict[str, dict[str, type]]:
+        """Names and types of the columns of each table."""
+
+
 class Store:
     """The folder of a sweep, new or to be gone on with; a context manager.
 
     Parameters
     ----------
     folder : Path
-    question : jobs.Question
+    question : Asked
 
     Raises
     ------
@@ -54,8 +73,9 @@ class Store:
         the disk refuses.
     """
 
-    def __init__(self, folder: Path, question: Question) -> None:
+    def __init__(self, folder: Path, question: Asked) -> None:
         self._folder, self._manifest = folder, folder / "manifest.sqlite"
+        self._name = question.name
         self._schemas = {
             name: pa.schema([(column, TYPES[kind]) for column, kind in columns.items()])
             for name, columns in question.columns().items()
@@ -66,7 +86,7 @@ class Store:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(self._lock)
-            raise TssError(f"another sweep is at work in {folder}") from None
+            raise TssError(f"another {question.name} is at work in {folder}") from None
         self._database = sqlite3.connect(self._manifest, isolation_level=None)
         try:
             # Each job is a transaction; the log survives the process without waiting for the disk.
@@ -198,7 +218,7 @@ class Store:
             if known.get(name) != asked.get(name)
         ]
         if differ:
-            raise TssError(f"{self._folder} holds another sweep: {'; '.join(differ)}")
+            raise TssError(f"{self._folder} holds another {self._name}: {'; '.join(differ)}")
 
     def _execute(self, statement, values=()):
         try:

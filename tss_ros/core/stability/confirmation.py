@@ -1,4 +1,4 @@
-"""Confirmation of a verdict by direct simulation of a disturbed motion."""
+"""What becomes of a disturbed formation by direct simulation, and whether it confirms a verdict."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tss_ros.core.stability.result import FloquetResult
 SMALL, STILL_SMALL = 1e-7, 1e-3
 #: How far the undisturbed motion's shape may be from its start after whole turns, over the radius.
 STILL_CLOSED = 0.01
-#: Samples in each turn.
-SAMPLES = 200
+#: Samples in each turn, and most turns.
+SAMPLES, MOST_TURNS = 200, 10_000
 #: A formation is lost when a bead leaves its place by this share of the radius.
 LOST = 0.2
 #: It is lost as well when it turns by so much of a turn less or more than it should in a turn.
@@ -31,7 +31,7 @@ DRIFT = 20.0
 
 
 @dataclass(frozen=True)
-class Confirmation:
+class DisturbedMotion:
     """What became of a disturbed formation.
 
     Attributes
@@ -48,16 +48,13 @@ class Confirmation:
     turns_to_settle : float
         Turns after which the deviation from the undisturbed motion, measured from the centre of
         mass, stays below a tenth of its largest value; infinity if it does not.
-    growth_per_turn : float
-        Factor by which a very small disturbance of the shape and the tilt grows a turn, fitted
-        over the second half of the turns in which it stays small: to be compared with the largest
-        non-trivial multiplier. A drift in proportion to time shows as about 1 + 1/turns. NaN if
-        it does not stay small, or the undisturbed motion does not stay closed, for four turns.
     deviation_from_origin, deviation_from_centre : float
         Largest |d_i| of Eq. (53), measured from the frame's origin and from the instantaneous
         centre of mass.
     switches : int
         Switches of the disturbed motion, see `FloquetResult`.
+    slack_share : float
+        Share of the time that its tethers are slack, their mean.
     pushing_share : float
         Share of the time that its taut tethers push.
     turns : ndarray, shape (k,)
@@ -71,13 +68,29 @@ class Confirmation:
     turned: float
     shortest: float
     turns_to_settle: float
-    growth_per_turn: float
     deviation_from_origin: float
     deviation_from_centre: float
     switches: int
+    slack_share: float
     pushing_share: float
     turns: np.ndarray
     history: np.ndarray
+
+
+@dataclass(frozen=True)
+class Confirmation(DisturbedMotion):
+    """What became of a disturbed formation, and how a very small disturbance grows.
+
+    Attributes
+    ----------
+    growth_per_turn : float
+        Factor by which a very small disturbance of the shape and the tilt grows a turn, fitted
+        over the second half of the turns in which it stays small: to be compared with the largest
+        non-trivial multiplier. A drift in proportion to time shows as about 1 + 1/turns. NaN if
+        it does not stay small, or the undisturbed motion does not stay closed, for four turns.
+    """
+
+    growth_per_turn: float
 
     def agrees_with(self, result: FloquetResult) -> bool | None:
         """Whether this motion is what a `FloquetResult` at its rate says.
@@ -165,49 +178,123 @@ def confirm(
         If `cancelled` said so.
     """
     finite("disturbance_m", disturbance_m, above=0.0)
-    if not 1 <= turns <= 10_000:
-        raise TssError(f"turns must be from 1 to 10000, got {turns}")
-    if state is None:
-        state = initial_state(system, spin_rate_ratio)
-    period = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
-    times = np.linspace(0.0, turns * period, turns * SAMPLES + 1)
+    undisturbed = UndisturbedMotion(
+        system, spin_rate_ratio, state, turns, rtol=1e-12, cancelled=cancelled
+    )
+    state = undisturbed.state
+    seen = undisturbed.compare(disturbed(state, disturbance_m, seed), cancelled)
+    _, nudged, *_ = undisturbed.run(disturbed(state, SMALL * undisturbed.size_m, seed), cancelled)
+    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg)
+    return Confirmation(**vars(seen), growth_per_turn=growth)
 
-    def run(start):
-        motion = Propagator(system, spin_rate_ratio, start, rtol=1e-12)
-        position, velocity = motion.sample(times, cancelled)
-        centre = np.average(position, axis=1, weights=system.mass_kg)
+
+class UndisturbedMotion:
+    """The motion with which disturbed ones are compared.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+    state : State or None
+        Start; `initial_state` if None.
+    turns : int
+        How long to simulate.
+    rtol : float
+        Of this motion and the disturbed ones, see `Propagator`, whose own it is if not given.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Raises
+    ------
+    TssError
+        For values that are not allowed.
+    Cancelled
+        If `cancelled` said so.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        spin_rate_ratio: float,
+        state: State | None,
+        turns: int,
+        *,
+        rtol: float = 1e-10,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> None:
+        if not 1 <= turns <= MOST_TURNS:
+            raise TssError(f"turns must be from 1 to {MOST_TURNS}, got {turns}")
+        if state is None:
+            state = initial_state(system, spin_rate_ratio)
+        self.state, self._system, self._ratio = state, system, spin_rate_ratio
+        self._rtol, self._turns = rtol, turns
+        self._period_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
+        self._times = np.linspace(0.0, turns * self._period_s, turns * SAMPLES + 1)
+        self._radius = np.linalg.norm(state.position_m, axis=1)
+        self.size_m = np.max(self._radius)
+        self._position, self.arms_m, *_ = self.run(state, cancelled)
+        self._distance = np.linalg.norm(self.arms_m, axis=2)
+
+    def run(
+        self, start: State, cancelled: Callable[[], bool] | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Positions [m], arms from the centre of mass [m] and velocities [m/s], and switches."""
+        motion = Propagator(self._system, self._ratio, start, rtol=self._rtol)
+        position, velocity = motion.sample(self._times, cancelled)
+        centre = np.average(position, axis=1, weights=self._system.mass_kg)
         return position, position - centre[:, None], velocity, motion.switches
 
-    undisturbed, calm, *_ = run(state)
-    position, pushed, velocity, switches = run(disturbed(state, disturbance_m, seed))
-    length, tension, taut = tether_state(system, position, velocity)
-    shortest = float(np.min(length / system.rest_length_m))
-    made = turns_made(pushed, spin_rate_ratio) / turns
-    turned = float(made[np.nanargmax(np.abs(made - 1.0))])
-    radius = np.linalg.norm(state.position_m, axis=1)
-    size = np.max(radius)
-    beyond = radius > 1e-6 * size
-    distance = np.linalg.norm(pushed, axis=2)
-    history = np.max(np.abs(distance - np.linalg.norm(calm, axis=2)), axis=1) / size
-    from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
-    height = np.max(np.abs(position - undisturbed)[:, :, 2]) / size
-    _, nudged, *_ = run(disturbed(state, SMALL * size, seed))
-    loud = np.flatnonzero(history > 0.1 * np.max(history))
-    settled = loud[-1] + 1 < len(times) - SAMPLES // 2
-    near = max(from_centre, height) < LOST
-    return Confirmation(
-        bool(near and abs(turned - 1.0) < ASTRAY and shortest > COLLAPSED),
-        turned,
-        shortest,
-        float(times[loud[-1] + 1] / period) if settled else math.inf,
-        _growth(nudged, calm, system.mass_kg),
-        float(np.max(np.abs(deviation(position[:, beyond], radius[beyond])))),
-        float(from_centre),
-        switches,
-        pushing_share(tension, taut),
-        times / period,
-        history,
-    )
+    def compare(
+        self, start: State, cancelled: Callable[[], bool] | None = None
+    ) -> DisturbedMotion:
+        """What becomes of the formation from another start.
+
+        Parameters
+        ----------
+        start : State
+            A disturbed one, not `state` itself.
+        cancelled : callable, optional
+
+        Returns
+        -------
+        DisturbedMotion
+
+        Raises
+        ------
+        IntegrationError
+            If the motion cannot be continued.
+        Cancelled
+            If `cancelled` said so.
+        """
+        system, size, times = self._system, self.size_m, self._times
+        position, arms, velocity, switches = self.run(start, cancelled)
+        length, tension, taut = tether_state(system, position, velocity)
+        shortest = float(np.min(length / system.rest_length_m))
+        made = turns_made(arms, self._ratio) / self._turns
+        turned = float(made[np.nanargmax(np.abs(made - 1.0))])
+        beyond = self._radius > 1e-6 * size
+        distance = np.linalg.norm(arms, axis=2)
+        history = np.max(np.abs(distance - self._distance), axis=1) / size
+        from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
+        height = np.max(np.abs(position - self._position)[:, :, 2]) / size
+        loud = np.flatnonzero(history > 0.1 * np.max(history))
+        settled = loud[-1] + 1 < len(times) - SAMPLES // 2
+        near = max(from_centre, height) < LOST
+        return DisturbedMotion(
+            held=bool(near and abs(turned - 1.0) < ASTRAY and shortest > COLLAPSED),
+            turned=turned,
+            shortest=shortest,
+            turns_to_settle=float(times[loud[-1] + 1] / self._period_s) if settled else math.inf,
+            deviation_from_origin=float(
+                np.max(np.abs(deviation(position[:, beyond], self._radius[beyond])))
+            ),
+            deviation_from_centre=float(from_centre),
+            switches=switches,
+            slack_share=float(np.mean(~taut)),
+            pushing_share=pushing_share(tension, taut),
+            turns=times / self._period_s,
+            history=history,
+        )
 
 
 def _growth(nudged, calm, mass):

@@ -10,9 +10,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
-from tss_ros.core.errors import Cancelled, NoSteadyState, TssError
-from tss_ros.core.model.system import State, System
-from tss_ros.core.stability.confirmation import Confirmation, confirm
+from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
+from tss_ros.core.model.configurations import disturbed
+from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.stability.confirmation import (
+    Confirmation,
+    DisturbedMotion,
+    UndisturbedMotion,
+    confirm,
+)
 from tss_ros.core.stability.critical_rates import CriticalRate, find_critical_rates
 from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.follow import LONGEST_STEP, Family, follow
@@ -108,6 +114,35 @@ class ConfirmationJob:
             return result, None
 
 
+@dataclass(frozen=True)
+class EnsembleJob:
+    """A job of a sweep: pushes of one size and many seeds, each `disturbed`, at one spin rate."""
+
+    system: System
+    spin_rate_ratio: float
+    disturbance_m: float
+    seeds: tuple[int, ...]
+    turns: int = 20
+    state: State | None = None
+
+    def run(
+        self, cancelled: Callable[[], bool] | None = None
+    ) -> list[DisturbedMotion | IntegrationError]:
+        """What became of the formation after each push, or why its motion could not go on."""
+        finite("disturbance_m", self.disturbance_m, above=0.0)
+        undisturbed = UndisturbedMotion(
+            self.system, self.spin_rate_ratio, self.state, self.turns, cancelled=cancelled
+        )
+        found = []
+        for seed in self.seeds:
+            start = disturbed(undisturbed.state, self.disturbance_m, seed)
+            try:
+                found.append(undisturbed.compare(start, cancelled))
+            except IntegrationError as error:
+                found.append(error)
+        return found
+
+
 def sweep(
     jobs: Iterable, workers: int | None = None, cancelled: Callable[[], bool] | None = None
 ) -> Iterator[tuple[int, object]]:
@@ -118,7 +153,7 @@ def sweep(
 
     Parameters
     ----------
-    jobs : iterable of FloquetJob, CriticalRatesJob, FamilyJob or ConfirmationJob
+    jobs : iterable of FloquetJob, CriticalRatesJob, FamilyJob, ConfirmationJob or EnsembleJob
         Anything with ``run(cancelled)``; taken as they are needed, so that there may be millions.
     workers : int, optional
         Jobs at a time; as many as there are cores if not given.
