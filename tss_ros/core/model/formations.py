@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import System, finite
@@ -51,6 +52,7 @@ class Tether:
     bead_mass_kg: tuple[float, ...] = ()
 
 
+@checked
 def assemble(
     satellites: Sequence[Satellite],
     tethers: Sequence[Tether],

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, NoSteadyState, TssError
 from tss_ros.core.model.system import State, System
 from tss_ros.core.stability.confirmation import Confirmation, confirm
@@ -108,6 +109,7 @@ class ConfirmationJob:
             return result, None
 
 
+@checked
 def sweep(
     jobs: Iterable, workers: int | None = None, cancelled: Callable[[], bool] | None = None
 ) -> Iterator[tuple[int, object]]:
@@ -160,6 +162,8 @@ def sweep(
     try:
         while True:
             for index, job in itertools.islice(coming, AHEAD * workers - len(index_of)):
+                if not callable(getattr(job, "run", None)):
+                    raise TssError(f"jobs[{index}] must have a method run, got {job!r:.80}")
                 index_of[pool.submit(run, job)] = index
             if not index_of:
                 return
