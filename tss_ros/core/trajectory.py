@@ -17,6 +17,7 @@ from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability.law_words import law_in_words
+from tss_ros.core.stored import Stored
 
 #: Figures of a motion, and tables of one.
 FIGURES = ("trajectories", "deviation", "tethers", "balance")
@@ -183,7 +184,7 @@ class SampledMotion(Presented):
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Trajectory(SampledMotion):
+class Trajectory(SampledMotion, Stored):
     """A simulated motion.
 
     Attributes

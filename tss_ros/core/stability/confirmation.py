@@ -18,6 +18,7 @@ from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability.acceptance import COLLAPSED, turns_made
 from tss_ros.core.stability.result import FloquetResult
+from tss_ros.core.stored import Stored
 
 #: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
 SMALL, STILL_SMALL = 1e-7, 1e-3
@@ -34,7 +35,7 @@ DRIFT = 20.0
 
 
 @dataclass(frozen=True, repr=False)
-class Confirmation(Presented):
+class Confirmation(Presented, Stored):
     """What became of a disturbed formation.
 
     Attributes
@@ -105,10 +106,10 @@ class Confirmation(Presented):
         return data_frame({"turns": self.turns, "history": self.history})
 
     def _headline(self):
-        return (
-            f"{'held' if self.held else 'lost'} within {self.turns[-1]:g} turns: {self.reason};"
-            f" a small disturbance grows by {self.growth_per_turn:.6g} a turn"
-        )
+        words = f"{'held' if self.held else 'lost'} within {self.turns[-1]:g} turns: {self.reason}"
+        if math.isnan(self.growth_per_turn):
+            return words
+        return f"{words}; a small disturbance times {self.growth_per_turn:.6g} a turn"
 
     def _facts(self):
         return {
@@ -116,7 +117,7 @@ class Confirmation(Presented):
             "because": self.reason,
             "turns made, over those due": f"{self.turned:.6g}",
             "turns to settle": f"{self.turns_to_settle:.4g}",
-            "growth of a small disturbance": f"{self.growth_per_turn:.6g} a turn",
+            "a small disturbance": f"times {self.growth_per_turn:.6g} a turn",
             "deviation, Eq. (53)": f"at most {self.deviation_from_origin:.3g}",
             "from the centre of mass": f"at most {self.deviation_from_centre:.3g}",
             "slack/taut switches": self.switches,

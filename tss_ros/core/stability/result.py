@@ -10,13 +10,14 @@ from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
 from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability.law_words import law_in_words
+from tss_ros.core.stored import Stored
 
 METHODS = ("monodromy", "frozen")
 VERDICTS = ("unstable", "neutral", "asymptotically stable", "none found", "undecided")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class FloquetResult(Presented):
+class FloquetResult(Presented, Stored):
     """Multipliers at one spin rate, with what is known of their accuracy.
 
     Attributes
