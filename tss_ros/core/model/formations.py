@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import System, finite
@@ -52,7 +51,6 @@ class Tether:
     bead_mass_kg: tuple[float, ...] = ()
 
 
-@checked
 def assemble(
     satellites: Sequence[Satellite],
     tethers: Sequence[Tether],
@@ -84,6 +82,10 @@ def assemble(
     TssError
         If the graph or a value is not physical.
     """
+    for name, parts, kind in (("satellites", satellites, Satellite), ("tethers", tethers, Tether)):
+        if not isinstance(parts, Sequence) or not all(isinstance(part, kind) for part in parts):
+            words = f"{name} must be a sequence of {kind.__name__}s"
+            raise TssError(f"{words}, got {type(parts).__name__} {parts!r:.80}")
     count = len(satellites)
     for tether in tethers:
         for end in tether.ends:
