@@ -18,6 +18,8 @@ EXTRAS = {
     "plots": PLOTS,
     # sweeps and families, and tables for pandas, as CSV and Parquet
     "tables": TABLES,
+    # results as figures and data frames
+    "notebook": [*PLOTS, *TABLES, "pandas>=2.2.3"],
     # Rerun's viewer
     "review": ["rerun-sdk>=0.39", *PLOTS],
     # the report of the reproduction

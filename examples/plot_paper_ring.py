@@ -12,7 +12,7 @@ import sys
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tss_ros.core import Propagator, deviation, disturbed, initial_state, ring
+from tss_ros.core import ring, simulate
 
 BLUE, RED, GREEN, INK = "#0072B2", "#D55E00", "#009E73", "#333333"
 COLOURS = (BLUE, RED, GREEN)
@@ -26,27 +26,16 @@ plt.rcParams.update({"grid.color": "0.9", "axes.axisbelow": True, "figure.dpi": 
 # :func:`~tss_ros.core.ring` has the values of Table 1 as its defaults. The paper leaves the damping
 # of a tether open; 1450 N s/m is the value that gives its critical rate of 2.17.
 #
-# :func:`~tss_ros.core.initial_state` is the start of Eqs. (50) and (51).
-# :func:`~tss_ros.core.disturbed` displaces every satellite by a random vector; the 10 m are the
-# norm of all three together.
+# :func:`~tss_ros.core.simulate` starts from Eqs. (50) and (51) and displaces every satellite by a
+# random vector; the 10 m are the norm of all three together.
 
 SATELLITES = ("satellite 1", "satellite 2", "satellite 3")
 TURNS = 8
 system = ring()
-
-
-def simulate(spin_rate_ratio):
-    """Turns [-], positions [m], undisturbed distances [m] and slack/taut switches after a push."""
-    undisturbed = initial_state(system, spin_rate_ratio)
-    start = disturbed(undisturbed, disturbance_m=10.0, seed=1)
-    propagator = Propagator(system, spin_rate_ratio, start)
-    turns = np.linspace(0.0, TURNS, 200 * TURNS + 1)
-    position_m, _ = propagator.sample(turns * propagator.period_s)
-    radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
-    return turns, position_m, radius_m, propagator.switches
-
-
-motions = {ratio: simulate(ratio) for ratio in (-2.5, -2.0)}
+motions = {
+    ratio: simulate(system, ratio, turns=TURNS, disturbance_m=10.0, seed=1)
+    for ratio in (-2.5, -2.0)
+}
 
 # %%
 # Two ways to measure the deviation
@@ -56,15 +45,11 @@ motions = {ratio: simulate(ratio) for ratio in (-2.5, -2.0)}
 # the centre of mass, which then drifts along the orbit: that deviation grows although the ring
 # keeps its shape. The same measure from the instantaneous centre of mass tells about the shape.
 
-from_origin, from_centre = {}, {}
-for ratio, (_, position_m, radius_m, switches) in motions.items():
-    centre_m = np.average(position_m, axis=1, weights=system.mass_kg)
-    from_origin[ratio] = deviation(position_m, radius_m)
-    from_centre[ratio] = deviation(position_m - centre_m[:, None], radius_m)
+for ratio, motion in motions.items():
     print(
-        f"{ratio:g} Omega: at most {100 * np.abs(from_origin[ratio]).max():.2g} % from the origin, "
-        f"{100 * np.abs(from_centre[ratio]).max():.2g} % from the centre of mass; "
-        f"{switches} slack/taut switches"
+        f"{ratio:g} Omega: at most {100 * np.abs(motion.deviation).max():.2g} % from the origin, "
+        f"{100 * np.abs(motion.deviation_from_centre).max():.2g} % from the centre of mass; "
+        f"{motion.switches} slack/taut switches"
     )
 
 # %%
@@ -78,10 +63,9 @@ figure = plt.figure(figsize=(10.0, 9.0), layout="constrained")
 grid = figure.add_gridspec(3, 2, height_ratios=(2.5, 1.0, 1.0))
 titles = {-2.5: "ω = -2.5 Ω: the ring holds", -2.0: "ω = -2.0 Ω: the ring is lost"}
 drawn_turns = {-2.5: 8, -2.0: 4}
-for column, (ratio, (turns, position_m, *_)) in enumerate(motions.items()):
+for column, (ratio, motion) in enumerate(motions.items()):
     plan = figure.add_subplot(grid[0, column])
-    shown = turns <= drawn_turns[ratio]
-    path_km = position_m[shown] / 1e3
+    path_km = motion.position_m[motion.turns <= drawn_turns[ratio]] / 1e3
     for i, colour in enumerate(COLOURS):
         x, y, _ = path_km[:, i].T
         plan.plot(x, y, color=colour, linewidth=0.8, alpha=0.8)
@@ -94,12 +78,12 @@ for column, (ratio, (turns, position_m, *_)) in enumerate(motions.items()):
     plan.set_aspect("equal", adjustable="datalim")
 
     for row, values, words in (
-        (1, from_origin[ratio], "from the origin, Eq. (53)"),
-        (2, from_centre[ratio], "from the centre of mass"),
+        (1, motion.deviation, "from the origin, Eq. (53)"),
+        (2, motion.deviation_from_centre, "from the centre of mass"),
     ):
         axes = figure.add_subplot(grid[row, column])
         for i, colour in enumerate(COLOURS):
-            axes.plot(turns, 100 * values[:, i], color=colour, linewidth=1.1)
+            axes.plot(motion.turns, 100 * values[:, i], color=colour, linewidth=1.1)
         axes.axhline(0.0, color=INK, linewidth=0.6)
         axes.set_xlim(0.0, TURNS)
         axes.set_title(words, fontsize="medium", loc="left")

@@ -8,6 +8,7 @@ EXTRAS = {
     "matplotlib": "plots",
     "PIL": "plots",
     "pyarrow": "tables",
+    "pandas": "notebook",
     "rerun": "review",
     "rerun_cli": "review",
     "markdown_it": "reproduction",

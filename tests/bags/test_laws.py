@@ -24,9 +24,9 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
+from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.messages.steps import States, StepMessages, system_description
 from tss_ros.review import review
-from tss_ros.scenarios.laws import law_in_words, laws_in_words
 
 OPTIONS = {
     "scenario": "three_star",

@@ -27,7 +27,7 @@ for number in plt.get_fignums():
             empty.append(what)
         if not axes.get_ylabel():
             unlabelled.append(what)
-space["folder"] = folder
+space |= {"folder": folder, "np": np}
 values = {
     name: np.asarray(eval(expression, space)).tolist() for name, expression in expressions.items()
 }

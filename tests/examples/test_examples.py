@@ -19,13 +19,13 @@ PATIENCE_S = 400.0
 #: By example, what to ask for at its end.
 ASKED = {
     "plot_paper_ring": {
-        "end_m": "motions[-2.5][1][-1].mean(axis=0)",
-        "push_m": "motions[-2.5][1][0].mean(axis=0)",
+        "end_m": "motions[-2.5].position_m[-1].mean(axis=0)",
+        "push_m": "motions[-2.5].position_m[0].mean(axis=0)",
         "angle": "2 * np.pi * TURNS / 2.5",
-        "radius_m": "motions[-2.5][2].mean()",
+        "radius_m": "motions[-2.5].reference_radius_m.mean()",
         "orbit_m": "system.orbit_radius_m",
-        "held": "abs(from_centre[-2.5][-200:]).max()",
-        "lost": "abs(from_centre[-2.0]).max()",
+        "held": "abs(motions[-2.5].deviation_from_centre[-100:]).max()",
+        "lost": "abs(motions[-2.0].deviation_from_centre).max()",
     },
     "plot_multipliers": {
         "critical": "[boundaries[c][0].spin_rate_ratio for c in DAMPING_N_S_PER_M]",
@@ -50,9 +50,9 @@ ASKED = {
         "slack": "(~settled['taut']).sum()",
     },
     "plot_animated_motion": {
-        "still_m": "np.ptp(simulate(ring(), -2.5, 0.0, np.linspace(0, 2, 41))[1], axis=0).max()",
-        "moving_m": "np.ptp(simulate(ring(), -2.5, 0.0, np.linspace(0, 2, 41))[0], axis=0).max()",
-        "gif": "save_gif(animate(ring(), -2.0, frames=5), folder / 'small.gif') is None",
+        "still_m": "np.ptp(simulate(ring(), -2.5, turns=2.0).turning_m, axis=0).max()",
+        "moving_m": "np.ptp(simulate(ring(), -2.5, turns=2.0).position_m, axis=0).max()",
+        "gif": "animate(motion, frames=5).save(folder / 'small.gif') is None",
     },
     "plot_frozen_against_true": {
         "rates": "RATES",

@@ -1,5 +1,6 @@
 """The front page, the citation file and the documentation: short, linked, and of this program."""
 
+import doctest
 import importlib.util
 import re
 import sys
@@ -92,11 +93,33 @@ def test_python_of_the_front_page_runs():
     # Nothing damps the bending of a straight chain out of the orbit plane.
     [("tutorial.md", "asymptotically stable"), ("howto/scenario.md", "neutral")],
 )
-def test_python_of_the_pages_runs(page, verdict):
+def test_python_of_the_pages_runs(page, verdict, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     names = {}
     for code in re.findall(r"```python\n(.*?)```", (DOCS / page).read_text("utf-8"), re.S):
         exec(code, names)
     assert names["result"].verdict == verdict
+
+
+class SizesAside(doctest.OutputChecker):
+    """Of errors the place of the first digit counts, not the digits: they are rounding."""
+
+    def check_output(self, want, got, flags):
+        want, got = (re.sub(r"\d\.\de-(1\d)", "error", text) for text in (want, got))
+        return super().check_output(want, got, flags)
+
+
+def test_a_notebook_shows_what_its_page_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (DOCS / "howto" / "notebook.md").read_text("utf-8")
+    test = doctest.DocTestParser().get_doctest(page, {}, "notebook.md", "notebook.md", 0)
+    assert len(test.examples) > 15
+    said = []
+    options = doctest.REPORT_NDIFF
+    doctest.DocTestRunner(SizesAside(), verbose=False, optionflags=options).run(
+        test, out=said.append
+    )
+    assert "".join(said) == ""
 
 
 # ---------------------------------------------------------------- links and places

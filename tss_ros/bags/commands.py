@@ -17,7 +17,8 @@ from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError, in_words
-from tss_ros.scenarios.laws import law_in_words, laws_in_words
+from tss_ros.core.stability.law_words import law_in_words, laws_in_words
+from tss_ros.core.trajectory import FIGURES, TABLES
 from tss_ros.scenarios.scenario import read_text
 
 if TYPE_CHECKING:
@@ -164,17 +165,7 @@ def _plot_options(parser):
 
 
 def _plot(r, options):
-    law = law_in_words(r.tether_law, r.pushing_share)
-    figures = {
-        "trajectories": plots.trajectories(
-            r.position_m, r.tether_ends, r.bead_name, r.is_satellite, law=law
-        ),
-        "deviation": plots.deviation(
-            r.turns, r.deviation, r.bead_name, r.deviation_from_centre, law=law
-        ),
-        "tethers": plots.tethers(r.turns, r.length_m, r.tension_n, r.tether_name, law=law),
-        "balance": plots.balance(r.turns, r.energy_j, r.centre_of_mass_m, law=law),
-    }
+    figures = {name: r.plot(name) for name in FIGURES}
     if r.stability:
         columns = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
         figures["stability"] = plots.stability(
@@ -193,7 +184,7 @@ def _plot(r, options):
         print(path)
     for name, mode in modes.items():
         path = options.output / f"{name}.gif"
-        plots.save_mode_animation(mode, path)
+        plots.animate(mode).save(path)
         print(path)
 
 
@@ -249,30 +240,15 @@ def tables(recording: Recording) -> dict[str, pa.Table]:
 
     r = recording
 
-    def rows(name, names, **values):
-        k, n = len(r.step), len(names)
-        when = {"step": r.step, "t_s": r.t_s, "turns": r.turns}
-        index = pa.array(np.tile(np.arange(n, dtype=np.int32), k))
-        return pa.table(
-            {
-                **{key: np.repeat(column, n) for key, column in when.items()},
-                name: pa.DictionaryArray.from_arrays(index, list(names)),
-                **{key: np.ravel(column) for key, column in values.items()},
-            }
-        )
+    def rows(table):
+        columns, names = r.columns(table)
+        element = TABLES[table]
+        named = pa.DictionaryArray.from_arrays(pa.array(columns[element]), list(names))
+        return pa.table(columns | {element: named})
 
     found = {
         "run": pa.table({name: [value] for name, value in _run_in_a_row(r).items()}),
-        "beads": rows(
-            "bead",
-            r.bead_name,
-            **{f"{axis}_m": r.position_m[..., i] for i, axis in enumerate("xyz")},
-            **{f"v{axis}_m_s": r.velocity_m_s[..., i] for i, axis in enumerate("xyz")},
-            deviation=r.deviation,
-        ),
-        "tethers": rows(
-            "tether", r.tether_name, length_m=r.length_m, tension_n=r.tension_n, taut=r.taut
-        ),
+        **{name: rows(name) for name in TABLES},
     }
     if r.stability:
         names = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")

@@ -14,7 +14,8 @@ import numpy as np
 from tss_ros.bags.older import UNSAID, completed
 from tss_ros.bags.reader import STAMP, STATES, BagContent, description_of, runs_of, times_ns
 from tss_ros.bags.records import DAMAGE, BagError
-from tss_ros.core import System, TssError, deviation, elastic_energy, pushing_share
+from tss_ros.core import System, TssError
+from tss_ros.core.trajectory import SampledMotion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,18 +103,13 @@ class Description:
             raise TssError("SystemDescription: parameters_json is no JSON object")
         return cls(**values)
 
-    @property
-    def turn_s(self) -> float:
-        """Spin period of the undisturbed formation [s]."""
-        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.orbit_rate_rad_s)
-
 
 #: How a message's values become those of a field, but where its type makes them.
 _CONVERSIONS = {np.ndarray: np.array}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording(Description):
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Recording(SampledMotion, Description):
     """What a bag says about one run: its description, and k steps of it as arrays.
 
     Attributes
@@ -206,44 +202,8 @@ class Recording(Description):
         self.system  # noqa: B018 - it checks the rest
 
     @property
-    def pushing_share(self) -> float:
-        """Share of the time that taut tethers spent pushing [-]."""
-        return pushing_share(self.tension_n, self.taut)
-
-    @property
-    def turns(self) -> np.ndarray:
-        """Simulation time in spin turns [-], shape (k,)."""
-        return self.t_s / self.turn_s
-
-    @property
-    def centre_of_mass_m(self) -> np.ndarray:
-        """Centre of mass in the orbit frame [m], shape (k, 3)."""
-        return np.average(self.position_m, axis=1, weights=self.mass_kg)
-
-    @property
-    def deviation_from_centre(self) -> np.ndarray:
-        """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
-        return deviation(
-            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
-        )
-
-    @property
-    def energy_j(self) -> np.ndarray:
-        """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
-
-        Kinetic energy, that of a round Earth's gravity and of centrifugal force against the
-        frame's origin, and that of the taut tethers. Nothing but damping, drag and the Earth's
-        oblateness changes it.
-        """
-        radius = self.system.orbit_radius_m
-        y, z = self.position_m[..., 1], self.position_m[..., 2]
-        # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.
-        u = (2.0 * y + (self.position_m**2).sum(axis=2) / radius) / radius
-        well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
-        tidal = self.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
-        speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
-        elastic = elastic_energy(self.system, self.position_m, self.velocity_m_s)
-        return 0.5 * (speed2 + tidal) @ self.mass_kg + elastic
+    def _described(self):
+        return self
 
 
 def read_bag(path: str | Path, run: int | None = None, damaged: bool = False) -> Recording:

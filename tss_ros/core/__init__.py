@@ -15,6 +15,11 @@ _QUICK = dict.fromkeys(("Cancelled", "IntegrationError", "NoSteadyState", "TssEr
 _QUICK |= dict.fromkeys(("LAW_PARAMETERS", "TETHER_LAWS"), "model.laws")
 
 
+def __dir__() -> list[str]:
+    """The public names alone."""
+    return sorted(__getattr__("__all__"))
+
+
 def __getattr__(name: str) -> Any:
     """A public name, loaded when it is asked for."""
     if name in _QUICK:

@@ -32,6 +32,7 @@ from tss_ros.core.stability.parallel import (
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 from tss_ros.core.stability.special_curves import CurvePoint, SpecialCurve, follow_special
+from tss_ros.core.trajectory import Trajectory, simulate
 
 __all__ = [
     "CAUSES",
@@ -68,6 +69,7 @@ __all__ = [
     "State",
     "System",
     "Tether",
+    "Trajectory",
     "TssError",
     "assemble",
     "averaged_state",
@@ -88,6 +90,7 @@ __all__ = [
     "parameter_of",
     "pushing_share",
     "ring",
+    "simulate",
     "sweep",
     "tether_state",
     "with_parameter",

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
@@ -13,6 +12,7 @@ from tss_ros.plots.style import (
     INK,
     MARKERS,
     VERDICT_STYLES,
+    Figure,
     finish,
     legend_below,
     series_style,

@@ -4,12 +4,11 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from tss_ros.core import SPECIAL_KINDS, Family, SpecialCurve
-from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, finish, state_law
+from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, Figure, finish, state_law
 
 #: How stable, and how taut, a part of a family is, by look; `None` is any other verdict.
 LINES = {

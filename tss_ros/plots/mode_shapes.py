@@ -6,25 +6,24 @@ plane from the orbit's north.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from tss_ros.plots.style import COLOURS, INK, finish, series_style
+from tss_ros.core import ModeMotion
+from tss_ros.plots.style import COLOURS, INK, Figure, finish, series_style
 
 #: Largest displacement drawn, over the formation's radius; turns shown, fewer where growth in them
 #: would exceed a factor.
 LARGEST, TURNS, MOST_GROWTH = 0.35, 3, 30.0
-#: Phases of a cycle that a still picture shows, and pictures and their time [ms] of an animation.
-PHASES, FRAMES, FRAME_MS = 5, 60, 70
+#: Phases of a cycle that a still picture shows, and pictures of an animation.
+PHASES, FRAMES = 5, 60
 #: Where a mode out of the plane is seen from [rad]: turned about the spin axis, above the plane.
 AZIMUTH, ELEVATION = math.radians(-25.0), math.radians(24.0)
 #: Share of a mode's motion out of the plane above which it is drawn as such.
@@ -105,6 +104,23 @@ def shown_mode(
     )
 
 
+def shown_motion(motion: ModeMotion) -> ShownMode:
+    """Go on with a mode from its first turn, with a title.
+
+    Parameters
+    ----------
+    motion : ModeMotion
+
+    Returns
+    -------
+    ShownMode
+    """
+    return shown_mode(
+        motion.turns, motion.position_m, motion.shape, motion.multiplier, motion.tether_ends,
+        f"{motion.family}, |ρ| = {abs(motion.multiplier):.6f} a turn",
+    )  # fmt: skip
+
+
 def mode_of(result: Any) -> ShownMode:
     """The mode that a message FloquetResult carries, with a title.
 
@@ -155,18 +171,16 @@ def mode_shape(mode: ShownMode) -> Figure:
     return figure
 
 
-def save_mode_animation(mode: ShownMode, path: str | Path) -> None:
-    """Write the mode's motion as an animated GIF.
+def mode_pictures(mode: ShownMode) -> Iterator[Image.Image]:
+    """The mode's motion, picture by picture.
 
     Parameters
     ----------
     mode : ShownMode
-    path : str or Path
 
-    Raises
+    Yields
     ------
-    OSError
-        If the file cannot be written.
+    PIL.Image.Image
     """
     figure, formation, curves = _figure(mode)
     canvas = FigureCanvasAgg(figure)
@@ -175,7 +189,6 @@ def save_mode_animation(mode: ShownMode, path: str | Path) -> None:
     cursor = curves.axvline(0.0, color=INK, linewidth=0.9)
     limits = formation.get_xlim(), formation.get_ylim()
     fixed = len(formation.lines), len(formation.texts)
-    pictures = []
     for step in np.linspace(0, mode.turns.size - 1, FRAMES).round().astype(int):
         for artist in (*formation.lines[fixed[0] :], *formation.texts[fixed[1] :]):
             artist.remove()
@@ -186,18 +199,7 @@ def save_mode_animation(mode: ShownMode, path: str | Path) -> None:
         formation.set(xlim=limits[0], ylim=limits[1])
         cursor.set_xdata([mode.turns[step]] * 2)
         canvas.draw()
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
-    _write_gif(pictures, path)
-
-
-def _write_gif(pictures: Iterable[Image.Image], path):
-    pictures = list(pictures)
-    palette = pictures[-1].quantize(64, dither=Image.Dither.NONE)
-    first, *others = (p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
-    first.save(
-        path, format="GIF", save_all=True, append_images=others, duration=FRAME_MS, loop=0,
-        optimize=True,
-    )  # fmt: skip
+        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
 def _figure(mode: ShownMode) -> tuple[Figure, Axes, Axes]:

@@ -3,10 +3,18 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tss_ros.plots.style import DPI, INK, MARKERS, finish, legend_below, series_style, state_law
+from tss_ros.plots.style import (
+    DPI,
+    INK,
+    MARKERS,
+    Figure,
+    finish,
+    legend_below,
+    series_style,
+    state_law,
+)
 
 
 def trajectories(

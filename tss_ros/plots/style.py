@@ -3,8 +3,10 @@
 Line style and marker tell the curves apart where colour cannot.
 """
 
+import io
+
+import matplotlib.figure
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 # Okabe and Ito's palette without yellow: distinct for every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -25,7 +27,19 @@ VERDICT_STYLES = {
     "undecided": {"marker": "d", "color": "#CC79A7"},
 }
 INK = "#333333"
-DPI = 200
+#: Of figures, and of pages of notebooks.
+DPI, SHOWN_DPI = 200, 96
+
+
+class Figure(matplotlib.figure.Figure):
+    """A figure that notebooks show although it is none of pyplot's."""
+
+    def _repr_png_(self):
+        """Its picture, and how large to show it [pixels of the page]."""
+        stream = io.BytesIO()
+        self.savefig(stream, format="png")
+        width, height = (round(SHOWN_DPI * inches) for inches in self.get_size_inches())
+        return stream.getvalue(), {"width": width, "height": height}
 
 
 def series_style(i: int) -> dict[str, object]:

@@ -20,9 +20,9 @@ from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
+from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.review import viewer
 from tss_ros.review.scene import APPLICATION, Scene, layout
-from tss_ros.scenarios.laws import law_in_words
 
 VIEW_TITLE = "Orbit frame [m], tethers blue to red with tension, thin grey when slack"
 PICTURE_SIZE, VIDEO_SIZE = (1600, 900), (1280, 720)

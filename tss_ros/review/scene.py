@@ -13,8 +13,8 @@ import rerun.blueprint as rrb
 
 from tss_ros.bags.recording import Recording
 from tss_ros.core import in_words
+from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.plots import mode_of
-from tss_ros.scenarios.laws import law_in_words
 
 APPLICATION = "tss_ros"
 #: Seconds of wall time that one turn takes when the viewer plays a recording.

@@ -13,10 +13,10 @@ import numpy as np
 from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
+from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.review import review
 from tss_ros.runs.processes import SHOW_S, STALL_S, record, run_command, watched_nodes
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.laws import law_in_words
 from tss_ros.stability_service import client
 
 SCENARIO, SPIN_RATE_RATIO, TURNS = "three_star", -2.5, 8

@@ -25,9 +25,9 @@ from tss_interfaces.srv import ComputeFloquet
 from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError, in_words
+from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.scenarios.laws import laws_in_words
 from tss_ros.scenarios.parameters import read_assignment
 from tss_ros.scenarios.scenario import read_start_arrays
 
@@ -283,7 +283,7 @@ def _draw_mode(result, path):
         )
     mode = plots.mode_of(result)
     if path.suffix.lower() == ".gif":
-        plots.save_mode_animation(mode, path)
+        plots.animate(mode).save(path)
     else:
         plots.mode_shape(mode).savefig(path)
 

@@ -15,7 +15,7 @@ import pyarrow.compute
 from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import METHODS, TssError, in_words
-from tss_ros.scenarios.laws import NEVER_PUSH, laws_in_words
+from tss_ros.core.stability.law_words import NEVER_PUSH, laws_in_words
 from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import jobs, work
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question

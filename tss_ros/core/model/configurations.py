@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
 from tss_ros.core.model.frames import rigid_velocity
@@ -25,7 +26,7 @@ BALANCED = 1e-7
 MOST_RELAXATIONS = 300
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class InitialState(State):
     """A `State` to start from, with where it comes from.
 
@@ -37,7 +38,11 @@ class InitialState(State):
 
     origin: str = ""
 
+    def _headline(self):
+        return f"{super()._headline()}; {self.origin}"
 
+
+@checked
 def initial_state(system: System, spin_rate_ratio: float) -> InitialState:
     """Steady configuration to start from at time 0: the paper's where it has one.
 
@@ -134,6 +139,7 @@ def _paper_configuration(system, spin, units):
     return InitialState(*state(solution.x), "Eqs. 50-51" if per_unit == 1 else "Eq. 54")
 
 
+@checked
 def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     """Rotating equilibrium under the gravity gradient averaged over one turn, 1.5 Omega^2 in plane.
 
@@ -280,6 +286,7 @@ class _AveragedBalance:
         return place, force
 
 
+@checked
 def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:
     """Displace every bead by a seeded random vector.
 
@@ -302,6 +309,7 @@ def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:
     )
 
 
+@checked
 def deviation(position_m: np.ndarray, reference_radius_m: float | np.ndarray) -> np.ndarray:
     """Relative deviation d_i = |r_i| / R_0 - 1, Eq. (53).
 

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
@@ -177,6 +178,7 @@ def tension_and_slopes(
     )
 
 
+@checked
 def tether_state(
     system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -215,6 +217,7 @@ def acting_tethers(
     return acts
 
 
+@checked
 def elastic_energy(
     system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
 ) -> np.ndarray:
@@ -227,6 +230,7 @@ def elastic_energy(
     return np.sum(np.where((length > arrays.rest) | system.bilateral, energy, 0.0), axis=-1)
 
 
+@checked
 def pushing_share(tension_n: np.ndarray, taut: np.ndarray) -> float:
     """Share of the time that taut tethers spend pushing: of the samples taut, those below 0 N."""
     return float(np.count_nonzero(taut & (tension_n < 0.0)) / max(np.count_nonzero(taut), 1))

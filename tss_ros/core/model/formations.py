@@ -82,6 +82,10 @@ def assemble(
     TssError
         If the graph or a value is not physical.
     """
+    for name, parts, kind in (("satellites", satellites, Satellite), ("tethers", tethers, Tether)):
+        if not isinstance(parts, Sequence) or not all(isinstance(part, kind) for part in parts):
+            words = f"{name} must be a sequence of {kind.__name__}s"
+            raise TssError(f"{words}, got {type(parts).__name__} {parts!r:.80}")
     count = len(satellites)
     for tether in tethers:
         for end in tether.ends:

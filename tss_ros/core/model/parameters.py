@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.laws import LAW_PARAMETERS
 from tss_ros.core.model.system import System, finite
@@ -18,6 +19,7 @@ PARAMETERS = (
 )  # fmt: skip
 
 
+@checked
 def parameter_of(system: System, name: str) -> float:
     """Value of a parameter, that of the first satellite, bead or tether where each has its own.
 
@@ -46,6 +48,7 @@ def parameter_of(system: System, name: str) -> float:
     )
 
 
+@checked
 def with_parameter(system: System, name: str, value: float) -> System:
     """The system with another value of a parameter.
 

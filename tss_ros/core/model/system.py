@@ -17,15 +17,18 @@ import numpy as np
 from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.model.laws.contract import BeadLaw, TetherLaw
+from tss_ros.core.presentation import Presented
 
 #: Gravitational parameter of the Earth [m^3/s^2], as in the paper.
 MU_EARTH = 3.986e14
 #: Mean radius of the Earth [m], as in Table 1.
 RADIUS_EARTH_M = 6378e3
+#: Most beads that a table of a state shows.
+MOST_SHOWN = 12
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, repr=False)
+class State(Presented):
     """Positions and velocities of all beads in the orbit frame.
 
     Attributes
@@ -39,9 +42,27 @@ class State:
     position_m: np.ndarray
     velocity_m_s: np.ndarray
 
+    def __post_init__(self):
+        for name in ("position_m", "velocity_m_s"):
+            array = numbers(name, getattr(self, name))
+            if array.ndim != 2 or array.shape[1] != 3:
+                raise TssError(f"{name} must be x, y, z of each bead, got shape {array.shape}")
+            object.__setattr__(self, name, array)
 
-@dataclass(frozen=True)
-class System:
+    def _headline(self):
+        size = np.max(np.linalg.norm(self.position_m, axis=1), initial=0.0)
+        return f"of {len(self.position_m)} beads, up to {size:.6g} m from the centre"
+
+    def _facts(self):
+        return {
+            f"bead {i + 1}": f"{np.array2string(r, precision=3, suppress_small=True)} m, "
+            f"{np.array2string(v, precision=6, suppress_small=True)} m/s"
+            for i, (r, v) in enumerate(zip(self.position_m[:MOST_SHOWN], self.velocity_m_s))
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class System(Presented):
     """Beads joined by tether segments on a circular orbit; arrays are validated and read-only.
 
     Attributes
@@ -100,9 +121,12 @@ class System:
             name, count = Counter(names).most_common(1)[0]
             if count > 1:
                 raise TssError(f"duplicate {what} name {name!r}: {count} of them")
+        for name in ("linear_gravity", "bilateral"):
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise TssError(f"{name} must be True or False, got {value!r:.80}")
         self._store("is_satellite", self.is_satellite, n, bool)
         self._store("mass_kg", self.mass_kg, n, above=0.0)
-        ends = np.array(self.tether_ends)
+        ends = np.array(numbers("tether_ends", self.tether_ends, None))
         if ends.shape != (m, 2) or not np.issubdtype(ends.dtype, np.integer):
             raise TssError(f"tether_ends must be {m} pairs of bead indices, got shape {ends.shape}")
         if ends.min() < 0 or ends.max() >= n:
@@ -117,7 +141,7 @@ class System:
         self._store("axial_stiffness_n", self.axial_stiffness_n, m, above=0.0)
         self._store("damping_n_s_per_m", self.damping_n_s_per_m, m, at_least=0.0)
         self._require_connected()
-        layout = np.array(self.layout_m, dtype=float)
+        layout = np.array(numbers("layout_m", self.layout_m))
         if layout.shape != (n, 3) or not np.isfinite(layout).all():
             raise TssError(f"layout_m must be {n} finite positions x y z, got shape {layout.shape}")
         layout.flags.writeable = False
@@ -184,7 +208,7 @@ class System:
         return all(law.keeps_plane for law in self.acting_laws)
 
     def _store(self, name, values, size, dtype=float, **bounds):
-        array = np.array(values, dtype=dtype)
+        array = np.array(numbers(name, values) if dtype is float else values, dtype=dtype)
         if array.shape != (size,):
             raise TssError(f"{name} must have {size} values, got shape {array.shape}")
         if dtype is float:
@@ -207,6 +231,33 @@ class System:
         for i, name in enumerate(self.bead_name):
             if i not in reached:
                 raise TssError(f"bead {name!r} is not tethered to bead {self.bead_name[0]!r}")
+
+    def _headline(self):
+        count = int(np.count_nonzero(self.is_satellite))
+        beads = f", {self.n - count} beads" if count < self.n else ""
+        return (
+            f"of {count} satellites{beads}, {self.m} tether segments;"
+            f" {self.orbit_altitude_m / 1e3:g} km up, {self.tether_law}"
+        )
+
+    def _facts(self):
+        per_part = {
+            "satellite mass": (self.mass_kg[self.is_satellite], "kg"),
+            "bead mass": (self.mass_kg[~self.is_satellite], "kg"),
+            "rest length": (self.rest_length_m, "m"),
+            "axial stiffness EA": (self.axial_stiffness_n, "N"),
+            "damping C": (self.damping_n_s_per_m, "N s/m"),
+        }
+        facts = {
+            name: f"{' to '.join(dict.fromkeys(f'{x:g}' for x in (min(v), max(v))))} {unit}"
+            for name, (v, unit) in per_part.items()
+            if v.size
+        }
+        return facts | {
+            "orbit rate Omega": f"{self.orbit_rate_rad_s:.6e} rad/s",
+            "laws": ", ".join((self.tether_law, *(law.name for law in self.acting_laws))),
+            **{name: f"{value:g}" for name, value in self.law_parameters.items() if value},
+        }
 
     @property
     def n(self) -> int:
@@ -244,6 +295,21 @@ class System:
         if not 1e-3 <= abs(ratio) <= 1e4:
             raise TssError(f"spin_rate_ratio must have a size from 0.001 to 10000, got {ratio:g}")
         return ratio * self.orbit_rate_rad_s
+
+
+def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
+    """Return `values` as an array of numbers, itself if it is one.
+
+    Raises
+    ------
+    TssError
+        Naming the thing and its value.
+    """
+    try:
+        return np.asarray(values, dtype=kind)
+    except (TypeError, ValueError):
+        shown = f"{values!r:.80}".replace("\n", " ")
+        raise TssError(f"{name} must be an array of numbers, got {shown}") from None
 
 
 def finite(

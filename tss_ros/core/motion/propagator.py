@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System
@@ -249,6 +250,7 @@ class Propagator:
     #: Accepted steps between two looks at `cancelled`.
     SLICE = 200
 
+    @checked
     def __init__(
         self,
         system: System,
@@ -283,6 +285,7 @@ class Propagator:
         """Slack/taut switches so far, Eq. (5)."""
         return self._motion.switches
 
+    @checked
     def sample(
         self, times_s: np.ndarray, cancelled: Callable[[], bool] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
+from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability.acceptance import COLLAPSED, turns_made
 from tss_ros.core.stability.result import FloquetResult
+from tss_ros.core.stored import Stored
 
 #: Norm over the radius of the disturbance whose growth is measured, and what still counts as small.
 SMALL, STILL_SMALL = 1e-7, 1e-3
@@ -77,8 +81,8 @@ class DisturbedMotion:
     history: np.ndarray
 
 
-@dataclass(frozen=True)
-class Confirmation(DisturbedMotion):
+@dataclass(frozen=True, repr=False)
+class Confirmation(DisturbedMotion, Presented, Stored):
     """What became of a disturbed formation, and how a very small disturbance grows.
 
     Attributes
@@ -91,6 +95,47 @@ class Confirmation(DisturbedMotion):
     """
 
     growth_per_turn: float
+
+    @property
+    def reason(self) -> str:
+        """Why the formation counts as held or lost, with the number that decided."""
+        if not self.shortest > COLLAPSED:
+            return f"a tether shrank to {self.shortest:.3g} of its rest length"
+        if not abs(self.turned - 1.0) < ASTRAY:
+            return f"it made {self.turned:.3g} of the turns that it should"
+        if not self.deviation_from_centre < LOST:
+            return f"a bead left its distance from the centre by {self.deviation_from_centre:.2%}"
+        if not self.held:
+            return f"a bead left its height over the orbit plane by more than {LOST:.0%}"
+        farthest = f"the farthest {self.deviation_from_centre:.2%}"
+        return f"no bead left its place by {LOST:.0%}, {farthest}"
+
+    def plot(self) -> Any:
+        """How the disturbance dies out or grows, `plots.disturbance`, a Matplotlib figure."""
+        return found("tss_ros.plots", "plot").disturbance(self.turns, self.history)
+
+    def to_pandas(self) -> Any:
+        """`turns` and `history` as a pandas.DataFrame."""
+        return data_frame({"turns": self.turns, "history": self.history})
+
+    def _headline(self):
+        words = f"{'held' if self.held else 'lost'} within {self.turns[-1]:g} turns: {self.reason}"
+        if math.isnan(self.growth_per_turn):
+            return words
+        return f"{words}; a small disturbance times {self.growth_per_turn:.6g} a turn"
+
+    def _facts(self):
+        return {
+            "held": "yes" if self.held else "no",
+            "because": self.reason,
+            "turns made, over those due": f"{self.turned:.6g}",
+            "turns to settle": f"{self.turns_to_settle:.4g}",
+            "a small disturbance": f"times {self.growth_per_turn:.6g} a turn",
+            "deviation, Eq. (53)": f"at most {self.deviation_from_origin:.3g}",
+            "from the centre of mass": f"at most {self.deviation_from_centre:.3g}",
+            "slack/taut switches": self.switches,
+            "taut tethers push": f"{self.pushing_share:.2%} of the time",
+        }
 
     def agrees_with(self, result: FloquetResult) -> bool | None:
         """Whether this motion is what a `FloquetResult` at its rate says.
@@ -141,6 +186,7 @@ def turns_that_tell(result: FloquetResult) -> int:
     return turns
 
 
+@checked
 def confirm(
     system: System,
     spin_rate_ratio: float,

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System, finite
+from tss_ros.core.presentation import Presented
 from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.krein import may_meet
 from tss_ros.core.stability.resonances import name_resonance
@@ -21,8 +23,8 @@ CAUSES = ("first slack", "axis tilt", "shape", "spin", "none found")
 SLOWEST = 0.05
 
 
-@dataclass(frozen=True)
-class CriticalRate:
+@dataclass(frozen=True, repr=False)
+class CriticalRate(Presented):
     """A boundary of stability, or of the range where no tether ever lets go.
 
     Attributes
@@ -52,7 +54,24 @@ class CriticalRate:
     pushing_share: float = math.nan
     resonance: str = ""
 
+    def _headline(self):
+        side = "larger" if self.stable_side > 0 else "smaller"
+        return (
+            f"ω = {self.spin_rate_ratio:.6g} ± {self.uncertainty:.1g} Ω: {self.cause};"
+            f" stable at {side} ω"
+        )
 
+    def _facts(self):
+        return {
+            "spin rate": f"{self.spin_rate_ratio:.8g} ± {self.uncertainty:.1g} Ω",
+            "cause": self.cause,
+            "stable": f"at {'larger' if self.stable_side > 0 else 'smaller'} ω",
+            **({"why": self.resonance} if self.resonance else {}),
+            "taut tethers push": f"{self.pushing_share:.2%} of the time",
+        }
+
+
+@checked
 def find_critical_rates(
     system: System,
     ratio_from: float,

@@ -1,10 +1,16 @@
 """What is known of a family of periodic motions: its points, and where something happens."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tss_ros.core.model.system import State
+from tss_ros.core.presentation import Presented, data_frame, found, html_table
+from tss_ros.core.stability.result import in_words
 
 #: What may happen on a family: it turns round; a real multiplier leaves the circle at 1, or at -1;
 #: a pair does; that of the spin rate grows beyond what the drive explains; tethers begin to go
@@ -14,8 +20,12 @@ SPECIAL_KINDS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class FamilyPoint:
+#: Points of which a table in a notebook shows so many of the first and of the last.
+SHOWN = 4
+
+
+@dataclass(frozen=True, repr=False)
+class FamilyPoint(Presented):
     """A motion of a family, with what its multipliers say.
 
     Attributes
@@ -43,12 +53,27 @@ class FamilyPoint:
     slack: bool
     spin_loss: float
     closure_residual: float
-    multiplier: np.ndarray = field(repr=False)
-    state: State = field(repr=False)
+    multiplier: np.ndarray
+    state: State
+
+    def _headline(self):
+        decided = in_words(self.deciding_family, self.deciding_modulus, self.closure_residual)
+        return f"at {self.parameter:g}, ω = {self.spin_rate_ratio:g} Ω: {self.verdict}, {decided}"
+
+    def _facts(self):
+        return {
+            "verdict": self.verdict,
+            "decided by": in_words(
+                self.deciding_family, self.deciding_modulus, self.closure_residual
+            ),
+            "multipliers outside": self.outside,
+            "tethers go slack": "yes" if self.slack else "no",
+            "closure residual": f"{self.closure_residual:.1e}",
+        }
 
 
-@dataclass(frozen=True)
-class SpecialPoint:
+@dataclass(frozen=True, repr=False)
+class SpecialPoint(Presented):
     """A point of a family where something happens.
 
     Attributes
@@ -77,12 +102,31 @@ class SpecialPoint:
     multiplier: complex
     family: str
     after: int
-    state: State = field(repr=False)
+    state: State
     turns: int = 1
 
+    def _headline(self):
+        return f"{self.kind} at {self.parameter:.8g} ± {self.uncertainty:.1e}{self._which}"
 
-@dataclass(frozen=True)
-class Family:
+    @property
+    def _which(self):
+        """The multiplier that leaves the circle, in words."""
+        if not self.family:
+            return ""
+        return f", {self.family} {self.multiplier:.6f}, |ρ| = {abs(self.multiplier):.6f}"
+
+    def _facts(self):
+        return {
+            "kind": self.kind,
+            "at": f"{self.parameter:.10g} ± {self.uncertainty:.1e}",
+            "spin rate": f"{self.spin_rate_ratio:.10g} Ω",
+            "multiplier": self._which.strip(", ") or "-",
+            "turns": self.turns,
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Family(Presented):
     """A family that was followed.
 
     Attributes
@@ -108,3 +152,53 @@ class Family:
         """The points as columns of a table, e.g. for pandas.DataFrame, arrays left out."""
         names = [n for n in FamilyPoint.__dataclass_fields__ if n not in ("multiplier", "state")]
         return {name: [getattr(point, name) for point in self.points] for name in names}
+
+    def to_pandas(self) -> Any:
+        """`columns` as a pandas.DataFrame."""
+        return data_frame(self.columns())
+
+    def plot(self, label: str = "", law: str = "") -> Any:
+        """The bifurcation diagram, `plots.family`, a Matplotlib figure."""
+        return found("tss_ros.plots", "plot").family(self, label, law)
+
+    def save(self, path: str | Path) -> None:
+        """Write the family to a Parquet file, which `tss follow --start` reads as well."""
+        found("tss_ros.sweeps.families", "save").save(self, path)
+
+    @staticmethod
+    def load(path: str | Path) -> Family:
+        """A family that `save` or `tss follow` wrote."""
+        return found("tss_ros.sweeps.families", "load").load(path)
+
+    def _headline(self):
+        return in_brief(self.parameter, self.points, self.ended)
+
+    def __repr__(self):
+        lines = [f"Family {self._headline()}", *(f"  {s._headline()}" for s in self.special)]
+        return f"<{chr(10).join(lines)}>"
+
+    def _repr_html_(self):
+        head = ("", self.parameter, "ω/Ω", "verdict or kind", "decided by", "outside")
+        rows = []
+        for i, point in enumerate(self.points):
+            if SHOWN <= i < len(self.points) - SHOWN:
+                rows += [("...",)] * (i == SHOWN)
+            else:
+                decided = in_words(
+                    point.deciding_family, point.deciding_modulus, point.closure_residual
+                )
+                place = f"{point.parameter:.6g}", f"{point.spin_rate_ratio:.6g}"
+                rows.append((i, *place, point.verdict, decided, point.outside))
+        for special in self.special:
+            place = f"{special.parameter:.8g}", f"{special.spin_rate_ratio:.8g}"
+            which = special._which.strip(", ")
+            rows.append((f"after {special.after}", *place, special.kind, which))
+        return html_table(f"Family {self._headline()}", rows, head)
+
+
+def in_brief(parameter: str, points: tuple, ended: str) -> str:
+    """What was followed, how far and why no further, in words."""
+    words = f"in {parameter}: {len(points)} points"
+    if points:
+        words += f" from {points[0].parameter:g} to {points[-1].parameter:g}"
+    return words + (f"; ended: {ended}" if ended else "")

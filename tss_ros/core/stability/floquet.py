@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
@@ -42,6 +43,7 @@ NEAR_START = 0.2
 MOST_BEADS, LEADING = 100, 12
 
 
+@checked
 def compute_floquet(
     system: System,
     spin_rate_ratio: float,

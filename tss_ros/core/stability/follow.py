@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.parameters import PARAMETERS, with_parameter
 from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
@@ -35,6 +36,7 @@ ROUNDING = 1e-9
 REAL = 1e-6
 
 
+@checked
 def follow(
     system: System,
     parameter: str,

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.presentation import Presented, found
 from tss_ros.core.stability.mean_model import mean_modes
 from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
 from tss_ros.core.stability.result import FloquetResult
@@ -24,8 +27,8 @@ RTOL = 1e-9
 COUNTS, COUNTABLE, CLEAR = 32, 1e-3, 0.05
 
 
-@dataclass(frozen=True)
-class Mode:
+@dataclass(frozen=True, repr=False)
+class Mode(Presented):
     """The mode behind one multiplier.
 
     Attributes
@@ -64,7 +67,20 @@ class Mode:
             known.append(f"{self.frequency:.3f} a turn")
         return f"{where}{self.family}" + (f" ({', '.join(known)})" if known else "")
 
+    def _headline(self):
+        return f"{self.in_words}: ρ = {self.multiplier:.6g}, |ρ| = {abs(self.multiplier):.6f}"
 
+    def _facts(self):
+        return {
+            "family": self.family,
+            "direction": self.direction,
+            "multiplier": f"{self.multiplier:.8g}, modulus {abs(self.multiplier):.8f}",
+            "frequency": f"{self.frequency:.6g} a turn",
+            "wave number": self.wave_number if self.wave_number >= 0 else "-",
+        }
+
+
+@checked
 def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     """The modes behind the multipliers of a result, in their order.
 
@@ -134,8 +150,8 @@ def _above(vectors):
     return np.sum(square[:, 2], axis=0) / np.sum(square, axis=(0, 1))
 
 
-@dataclass(frozen=True)
-class ModeMotion:
+@dataclass(frozen=True, repr=False)
+class ModeMotion(Presented):
     """A mode along one turn, in the frame that turns with the formation.
 
     Attributes
@@ -147,13 +163,38 @@ class ModeMotion:
     shape : ndarray, shape (k, n, 3), complex
         Displacements, the largest at the start of size 1. A turn later they are the same times the
         multiplier.
+    multiplier : complex
+    family : str
+        One of `FAMILIES`.
+    tether_ends : ndarray, shape (m, 2), int
+        As of the system.
     """
 
     turns: np.ndarray
     position_m: np.ndarray
     shape: np.ndarray
+    multiplier: complex
+    family: str
+    tether_ends: np.ndarray
+
+    def plot(self) -> Any:
+        """The mode in the turning formation, `plots.mode_shape`, a Matplotlib figure."""
+        plots = found("tss_ros.plots", "plot")
+        return plots.mode_shape(plots.shown_motion(self))
+
+    def _headline(self):
+        return f"{self.family} along a turn: |ρ| = {abs(self.multiplier):.6f}"
+
+    def _facts(self):
+        return {
+            "family": self.family,
+            "multiplier": f"{self.multiplier:.8g}, modulus {abs(self.multiplier):.8f}",
+            "samples": len(self.turns),
+            "beads": self.position_m.shape[1],
+        }
 
 
+@checked
 def mode_motion(system: System, result: FloquetResult, which: int, samples: int = 48) -> ModeMotion:
     """How the mode behind one multiplier moves along the turn.
 
@@ -184,7 +225,10 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
     vector = result.vectors[:, which : which + 1]
     place, carried = _carried(integrator, result.state, vector, samples)
     shape = carried.reshape(samples + 1, 2, system.n, 3)[:, 1]
-    return ModeMotion(np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]))
+    return ModeMotion(
+        np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]),
+        complex(result.multiplier[which]), result.family[which], system.tether_ends,
+    )  # fmt: skip
 
 
 def _carried(integrator, state, vectors, samples):

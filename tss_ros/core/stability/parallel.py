@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import disturbed
 from tss_ros.core.model.system import State, System, finite
@@ -143,6 +144,7 @@ class EnsembleJob:
         return found
 
 
+@checked
 def sweep(
     jobs: Iterable, workers: int | None = None, cancelled: Callable[[], bool] | None = None
 ) -> Iterator[tuple[int, object]]:
@@ -195,6 +197,8 @@ def sweep(
     try:
         while True:
             for index, job in itertools.islice(coming, AHEAD * workers - len(index_of)):
+                if not callable(getattr(job, "run", None)):
+                    raise TssError(f"jobs[{index}] must have a method run, got {job!r:.80}")
                 index_of[pool.submit(run, job)] = index
             if not index_of:
                 return

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.model.system import System
 from tss_ros.core.stability.mode_shapes import compute_modes
 from tss_ros.core.stability.modes import LOST
@@ -23,6 +24,7 @@ SAME_PHASE = 1e-3
 TIMES = {1: "the spin", 2: "twice the spin"}
 
 
+@checked
 def name_resonance(system: System, result: FloquetResult) -> str:
     """The modes that resonate in an unstable motion and their condition, in words.
 

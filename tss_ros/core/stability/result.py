@@ -2,18 +2,22 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
+from tss_ros.core.presentation import Presented, data_frame, found
+from tss_ros.core.stability.law_words import law_in_words
+from tss_ros.core.stored import Stored
 
 METHODS = ("monodromy", "frozen")
 VERDICTS = ("unstable", "neutral", "asymptotically stable", "none found", "undecided")
 
 
-@dataclass(frozen=True, kw_only=True)
-class FloquetResult:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FloquetResult(Presented, Stored):
     """Multipliers at one spin rate, with what is known of their accuracy.
 
     Attributes
@@ -116,15 +120,13 @@ class FloquetResult:
     switches: int = 0
     tether_law: str = TETHER_LAWS[0].name
     pushing_share: float = math.nan
-    state: State = field(repr=False)
+    state: State
     segment_error: float = math.nan
     convergence_error: float = math.nan
     liouville_error: float = math.nan
     message: str = ""
-    residual: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
-    vectors: np.ndarray = field(
-        default_factory=lambda: np.empty((0, 0), dtype=complex), repr=False
-    )
+    residual: np.ndarray = field(default_factory=lambda: np.empty(0))
+    vectors: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=complex))
 
     @property
     def deciding(self) -> int:
@@ -140,6 +142,75 @@ class FloquetResult:
     def decided_by(self) -> str:
         """What decided the verdict, in words: a family with its modulus, or the closure."""
         return in_words(self.deciding_family, self.deciding_modulus, self.closure_residual)
+
+    @property
+    def reason(self) -> str:
+        """Why the verdict is what it is, in words, with the number that decided."""
+        if self.verdict == "none found":
+            return self.message
+        return f"{_REASONS[self.verdict]}: {self.decided_by}"
+
+    @property
+    def largest_error(self) -> float:
+        """The largest of the errors of the matrix that were measured; NaN if none was."""
+        errors = (self.flow_error, self.segment_error, self.convergence_error)
+        return max((error for error in errors if not math.isnan(error)), default=math.nan)
+
+    def plot(self) -> Any:
+        """The multipliers and the unit circle, `plots.plot_multipliers`, a Matplotlib figure."""
+        return found("tss_ros.plots", "plot").plot_multipliers(self)
+
+    def to_pandas(self) -> Any:
+        """The multipliers as a pandas.DataFrame, largest modulus first."""
+        columns = {"multiplier": self.multiplier, "modulus": np.abs(self.multiplier)}
+        columns["family"] = list(self.family)
+        if self.residual.size:
+            columns["residual"] = self.residual
+        return data_frame(columns)
+
+    def _headline(self):
+        decided = f", {self.decided_by}" if self.deciding_family else ""
+        if self.verdict == "none found":
+            decided = f", {self.message.split(';')[0]}"
+        known = {"closes to": self.closure_residual, "errors to": self.largest_error}
+        known = [f"{name} {x:.1e}" for name, x in known.items() if not math.isnan(x)]
+        method = "" if self.method == METHODS[0] else f" ({self.method})"
+        return (
+            f"ω = {self.spin_rate_ratio:g} Ω{method}:"
+            f" {'; '.join([self.verdict + decided, *known])}"
+        )
+
+    def _facts(self):
+        numbers = {
+            "distance that counts as none": self.tolerance,
+            "closure residual": self.closure_residual,
+            "before correction": self.initial_closure_residual,
+            "spin lost in a turn": self.spin_loss,
+            **{
+                f"{name.replace('_', ' ')} error": getattr(self, f"{name}_error")
+                for name in ("trivial", "jordan", "det_z", "flow", "segment", "convergence")
+            },
+            "Liouville error": self.liouville_error,
+        }
+        return {
+            "verdict": self.verdict,
+            "because": self.reason,
+            "multipliers": len(self.multiplier),
+            "period": f"{self.period_s:.6g} s",
+            **{name: f"{x:.2e}" for name, x in numbers.items() if not math.isnan(x)},
+            "switches in the turn": self.switches,
+            "tether law": law_in_words(self.tether_law, self.pushing_share),
+            **({"remarks": self.message} if self.family and self.message else {}),
+        }
+
+
+#: What the verdicts say that multipliers decided.
+_REASONS = {
+    "unstable": "a multiplier lies outside the unit circle",
+    "neutral": "no multiplier lies outside the unit circle, and not all of the shape lie inside",
+    "asymptotically stable": "all multipliers of the shape lie inside the unit circle",
+    "undecided": "no leading multiplier that was found lies outside, but some were not found",
+}
 
 
 def in_words(family: str, modulus: float, closure_residual: float) -> str:

@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.parameters import parameter_of, with_parameter
 from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability import continuation, families
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
-from tss_ros.core.stability.family import SpecialPoint
+from tss_ros.core.stability.family import SpecialPoint, in_brief
 from tss_ros.core.stability.follow import (
     SPIN_RATE_RATIO,
     Run,
@@ -37,8 +41,8 @@ FIRST_WINDOWS, WINDOW = (0.5, 2.0, 8.0), 0.5
 FAR, STEPS, MOST_POINTS = 3.0, 2, 60
 
 
-@dataclass(frozen=True)
-class CurvePoint:
+@dataclass(frozen=True, repr=False)
+class CurvePoint(Presented):
     """A special point at values of two parameters.
 
     Attributes
@@ -57,11 +61,22 @@ class CurvePoint:
     spin_rate_ratio: float
     multiplier: complex
     family: str
-    state: State = field(repr=False)
+    state: State
+
+    def _headline(self):
+        return f"at {self.parameter:.8g}, {self.second:.8g} ± {self.uncertainty:.1e} of them"
+
+    def _facts(self):
+        return {
+            "parameters": f"{self.parameter:.10g}, {self.second:.10g}",
+            "uncertainty": f"{self.uncertainty:.1e} of them",
+            "spin rate": f"{self.spin_rate_ratio:.10g} Ω",
+            "family": self.family or "-",
+        }
 
 
-@dataclass(frozen=True)
-class SpecialCurve:
+@dataclass(frozen=True, repr=False)
+class SpecialCurve(Presented):
     """A special point that was followed in a second parameter.
 
     Attributes
@@ -87,7 +102,40 @@ class SpecialCurve:
         names = [name for name in CurvePoint.__dataclass_fields__ if name != "state"]
         return {name: [getattr(point, name) for point in self.points] for name in names}
 
+    def to_pandas(self) -> Any:
+        """`columns` as a pandas.DataFrame."""
+        return data_frame(self.columns())
 
+    def plot(self, labels: tuple[str, str] = ("", ""), law: str = "") -> Any:
+        """The curve in the plane of both parameters, `plots.special_curves`."""
+        return found("tss_ros.plots", "plot").special_curves([self], labels, law)
+
+    def save(self, path: str | Path) -> None:
+        """Write the curve to a Parquet file."""
+        found("tss_ros.sweeps.families", "save").save(self, path)
+
+    @staticmethod
+    def load(path: str | Path) -> SpecialCurve:
+        """A curve that `save` wrote."""
+        return found("tss_ros.sweeps.families", "load").load_curve(path)
+
+    def _headline(self):
+        return f"{self.kind} {in_brief(self.parameter, self.points, self.ended)}"
+
+    def _facts(self):
+        ends = self.points[:1] + self.points[1:][-1:]
+        return {
+            "kind": self.kind,
+            "parameters": f"{self.parameter}, {self.second}",
+            **{
+                name: f"{point.parameter:.8g}, {point.second:.8g}"
+                for name, point in zip(("first", "last"), ends)
+            },
+            "ended": self.ended or "at the end that was asked for",
+        }
+
+
+@checked
 def follow_special(
     system: System,
     parameter: str,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from tss_ros.core import TETHER_LAWS
+from tss_ros.core.model.laws import TETHER_LAWS
 
 #: Laws under which no tether ever pushes.
 NEVER_PUSH = {law.name for law in TETHER_LAWS if not law.pushes}

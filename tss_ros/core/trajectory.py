@@ -1,0 +1,330 @@
+"""Motions sampled in time: what follows from the samples, and the motion of a formation at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tss_ros.core.arguments import checked
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.configurations import deviation, disturbed, initial_state
+from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
+from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.motion.propagator import Propagator
+from tss_ros.core.presentation import Presented, data_frame, found
+from tss_ros.core.stability.law_words import law_in_words
+from tss_ros.core.stored import Stored
+
+#: Figures of a motion, and tables of one.
+FIGURES = ("trajectories", "deviation", "tethers", "balance")
+TABLES = {"beads": "bead", "tethers": "tether"}
+#: Samples in a turn where no time between them is given, and most samples times beads.
+SAMPLES, MOST_BEAD_STEPS = 100, 50_000_000
+
+
+class SampledMotion(Presented):
+    """What follows from a motion's samples; those who have these are its subclasses.
+
+    A subclass has the fields of `Trajectory`.
+    """
+
+    @property
+    def _described(self):
+        """What has the names, masses and ends of beads and tethers."""
+        return self.system
+
+    @property
+    def turn_s(self) -> float:
+        """Spin period of the undisturbed formation [s]."""
+        return 2.0 * math.pi / abs(self.spin_rate_ratio * self._described.orbit_rate_rad_s)
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Simulation time in spin turns [-], shape (k,)."""
+        return self.t_s / self.turn_s
+
+    @property
+    def pushing_share(self) -> float:
+        """Share of the time that taut tethers spent pushing [-]."""
+        return pushing_share(self.tension_n, self.taut)
+
+    @property
+    def centre_of_mass_m(self) -> np.ndarray:
+        """Centre of mass in the orbit frame [m], shape (k, 3)."""
+        return np.average(self.position_m, axis=1, weights=self._described.mass_kg)
+
+    @property
+    def deviation_from_centre(self) -> np.ndarray:
+        """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
+        return deviation(
+            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
+        )
+
+    @property
+    def energy_j(self) -> np.ndarray:
+        """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
+
+        Kinetic energy, that of a round Earth's gravity and of centrifugal force against the
+        frame's origin, and that of the taut tethers. Nothing but damping, drag and the Earth's
+        oblateness changes it.
+        """
+        radius = self.system.orbit_radius_m
+        y, z = self.position_m[..., 1], self.position_m[..., 2]
+        # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.
+        u = (2.0 * y + (self.position_m**2).sum(axis=2) / radius) / radius
+        well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
+        tidal = self._described.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
+        speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
+        elastic = elastic_energy(self.system, self.position_m, self.velocity_m_s)
+        return 0.5 * (speed2 + tidal) @ self._described.mass_kg + elastic
+
+    def columns(self, table: str = "beads") -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+        """The samples as columns, a row for each step and bead or tether.
+
+        Parameters
+        ----------
+        table : str
+            "beads" or "tethers".
+
+        Returns
+        -------
+        columns : dict of str to ndarray
+            In column "bead" or "tether" stand numbers.
+        names : tuple of str
+            What the numbers stand for.
+
+        Raises
+        ------
+        TssError
+            If there is no such table.
+        """
+        _one_of("table", table, TABLES)
+        names = getattr(self._described, f"{TABLES[table]}_name")
+        if table == "beads":
+            values = {f"{axis}_m": self.position_m[..., i] for i, axis in enumerate("xyz")}
+            values |= {f"v{axis}_m_s": self.velocity_m_s[..., i] for i, axis in enumerate("xyz")}
+            values["deviation"] = self.deviation
+        else:
+            values = {name: getattr(self, name) for name in ("length_m", "tension_n", "taut")}
+        when = {"step": self.step, "t_s": self.t_s, "turns": self.turns}
+        return {
+            **{name: np.repeat(column, len(names)) for name, column in when.items()},
+            TABLES[table]: np.tile(np.arange(len(names), dtype=np.int32), len(self.t_s)),
+            **{name: np.ravel(column) for name, column in values.items()},
+        }, tuple(names)
+
+    def to_pandas(self, table: str = "beads") -> Any:
+        """The samples as a pandas.DataFrame, the table that `tss export` writes of a bag.
+
+        Parameters
+        ----------
+        table : str
+            "beads" or "tethers".
+
+        Returns
+        -------
+        pandas.DataFrame
+        """
+        columns, names = self.columns(table)
+        pandas = found("pandas", "to_pandas")
+        named = pandas.Categorical.from_codes(columns[TABLES[table]], list(names))
+        return data_frame(columns | {TABLES[table]: named})
+
+    def plot(self, figure: str = "deviation", law: str | None = None) -> Any:
+        """A figure of the motion.
+
+        Parameters
+        ----------
+        figure : str
+            "deviation", "trajectories", "tethers" or "balance": energy and centre of mass.
+        law : str, optional
+            Tether law, stated above; the motion's own, with how often tethers push, if not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        _one_of("figure", figure, FIGURES)
+        plots, of = found("tss_ros.plots", "plot"), self._described
+        law = law_in_words(of.tether_law, self.pushing_share) if law is None else law
+        if figure == "trajectories":
+            return plots.trajectories(
+                self.position_m, of.tether_ends, of.bead_name, of.is_satellite, law
+            )
+        if figure == "tethers":
+            return plots.tethers(self.turns, self.length_m, self.tension_n, of.tether_name, law)
+        if figure == "balance":
+            return plots.balance(self.turns, self.energy_j, self.centre_of_mass_m, law)
+        return plots.deviation(
+            self.turns, self.deviation, of.bead_name, self.deviation_from_centre, law
+        )
+
+    def _headline(self):
+        described = self._described
+        return (
+            f"of {len(described.bead_name)} beads at ω = {self.spin_rate_ratio:g} Ω:"
+            f" {len(self.t_s)} states, {self.turns[-1] - self.turns[0]:.4g} turns"
+        )
+
+    def _facts(self):
+        slack = ~self.taut
+        return {
+            "time": f"{self.t_s[0]:.6g} to {self.t_s[-1]:.6g} s",
+            "deviation, Eq. (53)": f"at most {np.abs(self.deviation).max():.3g}",
+            "from the centre of mass": f"at most {np.abs(self.deviation_from_centre).max():.3g}",
+            "tether lengths": f"{self.length_m.min():.2f} to {self.length_m.max():.2f} m",
+            "tensions": f"{self.tension_n.min():.3g} to {self.tension_n.max():.3g} N",
+            "slack": f"in {slack.any(axis=1).mean():.1%} of the states",
+            "tether law": law_in_words(self._described.tether_law, self.pushing_share),
+        }
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Trajectory(SampledMotion, Stored):
+    """A simulated motion.
+
+    Attributes
+    ----------
+    system : System
+    spin_rate_ratio : float
+    reference_radius_m : ndarray, shape (n,)
+        Distances from the centre before the disturbance [m], the zero of Eq. (53).
+    t_s : ndarray, shape (k,)
+        Simulation times [s].
+    position_m, velocity_m_s : ndarray, shape (k, n, 3)
+        [m], [m/s] in the orbit frame.
+    deviation : ndarray, shape (k, n)
+        Eq. (53) [-].
+    length_m, tension_n : ndarray, shape (k, m)
+        [m], [N].
+    taut : ndarray, shape (k, m), bool
+    switches : int
+        Between slack and taut, and of tethers that only pull between pulling and not.
+    """
+
+    system: System
+    spin_rate_ratio: float
+    reference_radius_m: np.ndarray
+    t_s: np.ndarray
+    position_m: np.ndarray
+    velocity_m_s: np.ndarray
+    deviation: np.ndarray
+    length_m: np.ndarray
+    tension_n: np.ndarray
+    taut: np.ndarray
+    switches: int
+
+    @property
+    def step(self) -> np.ndarray:
+        """Numbers of the states, from 0, shape (k,)."""
+        return np.arange(len(self.t_s))
+
+    @property
+    def turning_m(self) -> np.ndarray:
+        """Positions in the frame that turns with the spin [m], (k, n, 3); they agree at time 0."""
+        angle = -math.copysign(2.0 * math.pi, self.spin_rate_ratio) * self.turns[:, None]
+        x, y, z = np.moveaxis(self.position_m, -1, 0)
+        cos, sin = np.cos(angle), np.sin(angle)
+        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def state(self, index: int = -1) -> State:
+        """One of the states, the last one if not said which."""
+        return State(self.position_m[index], self.velocity_m_s[index])
+
+    def _facts(self):
+        return super()._facts() | {"slack/taut switches": self.switches}
+
+
+@checked
+def simulate(
+    system: System,
+    spin_rate_ratio: float,
+    *,
+    turns: float = 8.0,
+    disturbance_m: float = 0.0,
+    seed: int = 0,
+    period_s: float | None = None,
+    state: State | None = None,
+    rtol: float = 1e-10,
+    integrator: str = "auto",
+    cancelled: Callable[[], bool] | None = None,
+) -> Trajectory:
+    """Simulate a formation from its steady configuration or a given state, after a push.
+
+    Parameters
+    ----------
+    system : System
+    spin_rate_ratio : float
+        w = omega / Omega, negative for clockwise.
+    turns : float
+        How long.
+    disturbance_m : float
+        [m] see `disturbed`; 0 for no push.
+    seed : int
+        Of the push.
+    period_s : float, optional
+        [s] between two states; `SAMPLES` are in a turn if not given. The last state is that of
+        the last whole period.
+    state : State, optional
+        Undisturbed start; `initial_state` if not given.
+    rtol, integrator
+        See `Propagator`.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    TssError
+        For values that are not allowed.
+    NoSteadyState
+        If there is no state to start from.
+    IntegrationError
+        If the motion cannot be continued.
+    Cancelled
+        If `cancelled` said so.
+    """
+    turns = finite("turns", turns, above=0.0)
+    turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
+    between = turn_s / SAMPLES if period_s is None else finite("period_s", period_s, above=0.0)
+    # A state that falls on the end counts, whatever rounding does.
+    most, count = MOST_BEAD_STEPS // system.n, turns * turn_s / between * (1.0 + 1e-12)
+    if count >= most:
+        raise TssError(
+            f"{turns:g} turns hold {count:.4g} states {between:g} s apart; allowed: at most {most}"
+        )
+    undisturbed = state or initial_state(system, spin_rate_ratio)
+    start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
+    propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator)
+    t_s = np.arange(math.floor(count) + 1) * between
+    position_m, velocity_m_s = propagator.sample(t_s, cancelled)
+    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+    radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
+    return Trajectory(
+        system=system,
+        spin_rate_ratio=float(spin_rate_ratio),
+        reference_radius_m=radius_m,
+        t_s=t_s,
+        position_m=position_m,
+        velocity_m_s=velocity_m_s,
+        deviation=deviation(position_m, radius_m),
+        length_m=length_m,
+        tension_n=tension_n,
+        taut=taut,
+        switches=propagator.switches,
+    )
+
+
+def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise TssError(f"{name} must be one of {', '.join(allowed)}, got {value!r}")

@@ -1,0 +1,218 @@
+"""Figures of results of `tss_ros.core`: multipliers, their moduli, charts, disturbances."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
+
+from tss_ros.core import FAMILIES, CriticalRate, FloquetResult, TssError
+from tss_ros.core.stability.law_words import laws_in_words
+from tss_ros.plots.charts import stability, stability_map
+from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, Figure, finish, legend_below, state_law
+
+#: Sizes of the families' markers: those that often lie at one place show all the same.
+SIZES = (12, 8, 7, 10)
+NONE_FOUND = "none found"
+
+
+def plot_multipliers(result: FloquetResult, law: str | None = None) -> Figure:
+    """All multipliers at one spin rate, by family, and the unit circle.
+
+    Parameters
+    ----------
+    result : FloquetResult
+    law : str, optional
+        Tether law, stated above; the result's own if not given. So in all figures here.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The multiplier that decided the verdict is marked. Above stand verdict and reason.
+
+    Raises
+    ------
+    TssError
+        If the result has no multipliers.
+    """
+    if not result.family:
+        raise TssError(
+            f"the result at spin_rate_ratio {result.spin_rate_ratio:g} has no multipliers:"
+            f" {result.verdict}; {result.message}"
+        )
+    figure = Figure(figsize=(6.4, 6.4), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 361))
+    axes.plot(circle.real, circle.imag, color=INK, linewidth=0.9, label="unit circle")
+    families = np.array(result.family)
+    for name, marker, colour, size in zip(FAMILIES, MARKERS, COLOURS, SIZES):
+        rho = result.multiplier[families == name]
+        if rho.size:
+            axes.plot(
+                rho.real, rho.imag, linestyle="", marker=marker, markersize=size, color=colour,
+                markerfacecolor="none", markeredgewidth=1.6, label=f"{name} ({rho.size})",
+            )  # fmt: skip
+    if (which := result.deciding) >= 0:
+        rho = result.multiplier[which]
+        axes.plot(
+            rho.real, rho.imag, linestyle="", marker=".", markersize=5, color=INK, zorder=4,
+            label="decided the verdict",
+        )  # fmt: skip
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title(
+        f"ω = {result.spin_rate_ratio:g} Ω: {result.verdict}\n{result.reason}",
+        color=INK, fontsize="medium",
+    )  # fmt: skip
+    finish(axes, "real part of ρ [-]", "imaginary part of ρ [-]")
+    legend_below(figure, axes, columns=3)
+    state_law(figure, _law([result]) if law is None else law)
+    return figure
+
+
+def plot_modulus(
+    results: Sequence[FloquetResult],
+    critical: Sequence[CriticalRate] = (),
+    law: str | None = None,
+) -> Figure:
+    """Largest multiplier modulus over spin rates, with critical rates, and gaps without motions.
+
+    Parameters
+    ----------
+    results : sequence of FloquetResult
+        By one method, in any order.
+    critical : sequence of CriticalRate
+    law : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Rates where no motion was found are grey; no curve goes through them.
+
+    Raises
+    ------
+    TssError
+        If there are no results, or if they are by different methods.
+    """
+    results = sorted(_of_kind("results", results, FloquetResult), key=lambda r: r.spin_rate_ratio)
+    _of_kind("critical", critical, CriticalRate)
+    methods = dict.fromkeys(result.method for result in results)
+    if len(methods) != 1:
+        raise TssError(f"results must be by one method, got {', '.join(methods) or 'none'}")
+    missing = np.array([result.verdict == NONE_FOUND for result in results])
+    rates, *moduli = (
+        np.array([getattr(result, name) for result in results])
+        for name in ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial")
+    )
+    verdicts = ["" if gap else result.verdict for gap, result in zip(missing, results)]
+    figure = stability(
+        rates, *(np.where(missing, np.nan, values) for values in moduli), verdicts, *methods,
+        law=_law(results) if law is None else law,
+    )  # fmt: skip
+    (axes,) = figure.axes
+    for i, (low, high) in enumerate(_gaps(rates, missing)):
+        axes.axvspan(
+            low, high, color="0.92", zorder=0, linewidth=0,
+            label="no motion found" if i == 0 else None,
+        )  # fmt: skip
+    for i, rate in enumerate(critical):
+        axes.axvline(
+            rate.spin_rate_ratio, color=COLOURS[i % len(COLOURS)], linestyle=(0, (5, 2)),
+            linewidth=1.3, zorder=1, label=f"{rate.cause} at {rate.spin_rate_ratio:.4g}",
+        )  # fmt: skip
+    axes.xaxis.set_major_locator(MaxNLocator(9))
+    for legend in figure.legends:
+        legend.remove()
+    legend_below(figure, axes, columns=3)
+    return figure
+
+
+def _gaps(rates, missing):
+    """Ends of the ranges of sorted rates without motions, half way to those that have one."""
+    edges = np.concatenate([rates[:1], 0.5 * (rates[1:] + rates[:-1]), rates[-1:]])
+    change = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
+    return edges[change.reshape(-1, 2)]
+
+
+def plot_chart(
+    results: Mapping[float, Sequence[FloquetResult]] | Mapping[str, Sequence[FloquetResult]],
+    critical: Mapping[float, Sequence[CriticalRate]] | Mapping[str, Sequence[CriticalRate]] = {},  # noqa: B006
+    label: str = "",
+    law: str | None = None,
+) -> Figure:
+    """Verdicts and critical rates over the values of a parameter and spin rates.
+
+    Parameters
+    ----------
+    results : mapping of float or str to sequence of FloquetResult
+        Results by value of the parameter, or by name of the system.
+    critical : mapping of float or str to sequence of CriticalRate
+    label : str
+        Of the abscissa.
+    law : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    TssError
+        If there is nothing to draw, or if values and names are mixed.
+    """
+    keys = list(dict.fromkeys([*results, *critical]))
+    named = [isinstance(key, str) for key in keys]
+    if not keys or any(named) != all(named):
+        raise TssError(f"results must be by values or by names, got keys {keys!r:.80}")
+    place = {key: float(i if named[0] else key) for i, key in enumerate(keys)}
+    found = [(k, r) for k, rs in results.items() for r in _of_kind("results", rs, FloquetResult)]
+    edges = [(k, r) for k, rs in critical.items() for r in _of_kind("critical", rs, CriticalRate)]
+
+    def arrays(pairs, *names):
+        values = [np.array([getattr(thing, name) for _, thing in pairs]) for name in names]
+        return np.array([place[key] for key, _ in pairs]), *values
+
+    return stability_map(
+        label,
+        arrays(found, "spin_rate_ratio", "verdict"),
+        arrays(edges, "spin_rate_ratio", "uncertainty", "cause"),
+        keys if named[0] else (),
+        _law([result for _, result in found]) if law is None else law,
+    )
+
+
+def disturbance(turns: ArrayLike, difference: ArrayLike) -> Figure:
+    """How a disturbance dies out or grows.
+
+    Parameters
+    ----------
+    turns : array (k,)
+    difference : array (k,)
+        From the undisturbed motion, over the radius [-], as `Confirmation.history`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = Figure(figsize=(8.0, 3.6), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    difference = np.asarray(difference, dtype=float)
+    axes.semilogy(turns, np.where(difference > 0.0, difference, np.nan), color=COLOURS[0])
+    axes.margins(x=0.01)
+    label = "difference from the undisturbed\nmotion, over radius [-]"
+    finish(axes, "turns of the formation [-]", label)
+    return figure
+
+
+def _of_kind(name, values, kind):
+    """The values, if all of them are of a kind."""
+    for value in values:
+        if not isinstance(value, kind):
+            raise TssError(
+                f"{name} must be of kind {kind.__name__}, got {type(value).__name__} {value!r:.200}"
+            )
+    return values
+
+
+def _law(results):
+    return laws_in_words((result.tether_law, result.pushing_share) for result in results)
