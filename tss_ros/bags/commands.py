@@ -167,7 +167,7 @@ def _plot(r, options):
     law = law_in_words(r.tether_law, r.pushing_share)
     figures = {
         "trajectories": plots.trajectories(
-            r.position_m, r.tether_ends, r.bead_name, r.is_satellite, law=law
+            r.position_m, r.tether_ends, r.bead_name, r.is_satellite, law, r.turns
         ),
         "deviation": plots.deviation(
             r.turns, r.deviation, r.bead_name, r.deviation_from_centre, law=law
@@ -180,6 +180,7 @@ def _plot(r, options):
         figures["stability"] = plots.stability(
             *([getattr(result, name) for result in r.stability] for name in columns),
             law=laws_in_words((result.tether_law, result.pushing_share) for result in r.stability),
+            deciding_modulus=[result.deciding_modulus for result in r.stability],
         )
     options.output.mkdir(parents=True, exist_ok=True)
     modes = {

@@ -217,6 +217,7 @@ def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
         [result.verdict for result in results],
         method or "monodromy",
         laws_in_words((result.tether_law, result.pushing_share) for result in results),
+        [result.deciding_modulus for result in results],
     )
 
 
