@@ -223,9 +223,7 @@ class Recording(Description):
     @property
     def deviation_from_centre(self) -> np.ndarray:
         """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
-        return deviation(
-            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
-        )
+        return deviation(self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m)
 
     @property
     def energy_j(self) -> np.ndarray:

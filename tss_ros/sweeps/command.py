@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, why_not_written
 from tss_ros.core import METHODS, Cancelled, TssError, in_words, sweep
 from tss_ros.scenarios.laws import NEVER_PUSH
 from tss_ros.scenarios.parameters import VARIED, names
@@ -339,6 +339,8 @@ def _parse(arguments):
         parser.error("--workers are this machine's; those of --scheduler are started beside it")
     if options.retry and not options.output:
         parser.error("--retry needs --output")
+    if options.output and (why := why_not_written(options.output)):
+        parser.error(f"--output: {why}")
     options.methods = [method for method in METHODS if method in options.methods]
     if options.rates:
         first, last, count = options.rates
