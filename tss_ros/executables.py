@@ -23,6 +23,7 @@ EXECUTABLES = {
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
     "review": "review.review:main",
+    "page": "pages.page:main",
     "recover": "bags.recover:main",
     "verify": "bags.verify:main",
     "play": "recorder.play:main",
@@ -34,7 +35,17 @@ EXECUTABLES = {
     "completion": "runs.tools:completion",
 }
 #: Those that work where there is no ROS 2.
-WITHOUT_ROS = {"sweep", "follow", "review", "recover", "verify", "summary", "plot", "export"}
+WITHOUT_ROS = {
+    "sweep",
+    "follow",
+    "review",
+    "recover",
+    "verify",
+    "summary",
+    "plot",
+    "export",
+    "page",
+}
 WITHOUT_ROS |= {"compile", "bench", "completion", "simulate"}
 
 

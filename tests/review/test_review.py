@@ -309,7 +309,7 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
     assert "/run_1/stability" not in static
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
-    assert len([v for v in views if v.startswith("/view/")]) == 2 * 6 + 1
+    assert len([v for v in views if v.startswith("/view/")]) == 2 * 7 + 1
 
 
 def test_pictures_are_drawn_without_a_screen(recording, tmp_path, monkeypatch):

@@ -45,6 +45,8 @@ PLOTS = {
 
 #: Those that share the last panel, as tabs.
 BEHIND = ("deviation", "centre_of_mass", "energy")
+#: Where legends hide the least: drifts grow.
+_LEGENDS = {"deviation": rrb.Corner2D.LeftTop, "centre_of_mass": rrb.Corner2D.LeftTop}
 #: Parts of the scale of tensions, and its place and height over the reach of the view.
 SCALE_PARTS, SCALE_X, SCALE_HEIGHT = 16, 1.15, 1.0
 _SCALE = np.linspace(-0.5, 0.5, SCALE_PARTS + 1)
@@ -218,7 +220,8 @@ class Scene:
         colours = _colour_of(2.0 * (_SCALE[:-1] + _SCALE[1:])).astype(np.uint8)
         self._log("formation/scale", rr.LineStrips3D(bar, colors=colours, radii=TETHER_WIDTH))
         labels = [f"{factor * self._typical_n:.2g} N" for factor in (0.1, 1.0, 10.0)]
-        places = ends[[0, SCALE_PARTS // 2, SCALE_PARTS]]
+        beside = (0.12 * self.reach_m, 0.0, 0.0)
+        places = ends[[0, SCALE_PARTS // 2, SCALE_PARTS]] + beside
         points = rr.Points3D.columns(positions=places, labels=labels)
         path = f"{self.root}formation/scale/numbers"
         self._stream.send_columns(path, when, points.partition([len(labels)]))
@@ -326,7 +329,7 @@ def _plot_view(scene, plot):
         name=name,
         axis_x=rrb.TimeAxis(view_range=everything),
         axis_y=axis_y,
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(corner=_LEGENDS.get(plot, rrb.Corner2D.RightTop)),
     )
 
 

@@ -63,9 +63,7 @@ class Checkpoint(NamedTuple):
 
 def make_checkpoint(propagator: Propagator, index: int) -> Checkpoint:
     """Copy what an integrator remembers; `index` is the state that it has given last."""
-    return Checkpoint(
-        index, {name: np.array(part) for name, part in _parts(propagator).items()}
-    )
+    return Checkpoint(index, {name: np.array(part) for name, part in _parts(propagator).items()})
 
 
 def resume(propagator: Propagator, checkpoint: Checkpoint) -> None:

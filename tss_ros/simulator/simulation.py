@@ -199,9 +199,7 @@ class _Trajectory:
 
     def _integrate(self, first, count):
         begun = time.monotonic()
-        states = compute_states(
-            self._setup, self._propagator, first, count, self._cancelled.is_set
-        )
+        states = compute_states(self._setup, self._propagator, first, count, self._cancelled.is_set)
         end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(states, end, time.monotonic() - begun)
 

@@ -122,9 +122,7 @@ class FloquetResult:
     liouville_error: float = math.nan
     message: str = ""
     residual: np.ndarray = field(default_factory=lambda: np.empty(0), repr=False)
-    vectors: np.ndarray = field(
-        default_factory=lambda: np.empty((0, 0), dtype=complex), repr=False
-    )
+    vectors: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=complex), repr=False)
 
     @property
     def deciding(self) -> int:
