@@ -79,6 +79,11 @@ def read_back(path):
 def check_against(recording, path, steps):
     """Compare a Rerun file with the recording, of which it is to hold the first `steps` steps."""
     temporal, static = read_back(path)
+    scale = temporal.pop("/formation/scale/numbers")
+    assert scale["step"] == [0]
+    typical = np.median(recording.tension_n[recording.taut & (recording.tension_n > 0)])
+    numbers = [float(text.removesuffix(" N")) for text in scale["Points3D:labels"][0]]
+    np.testing.assert_allclose(numbers, typical * np.array([0.1, 1.0, 10.0]), rtol=0.06)
     for entity, columns in temporal.items():
         assert columns["step"] == list(range(steps)), entity
         seconds = np.array(columns["sim_time"]) * 1e-9
