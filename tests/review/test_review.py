@@ -80,9 +80,10 @@ def check_against(recording, path, steps):
     """Compare a Rerun file with the recording, of which it is to hold the first `steps` steps."""
     temporal, static = read_back(path)
     scale = temporal.pop("/formation/scale/numbers")
-    assert scale["step"] == [0]
-    typical = np.median(recording.tension_n[recording.taut & (recording.tension_n > 0)])
-    numbers = [float(text.removesuffix(" N")) for text in scale["Points3D:labels"][0]]
+    assert scale["step"][0] == 0  # and where what follows was sent
+    tension_n = recording.tension_n[:steps]
+    typical = np.median(tension_n[recording.taut[:steps] & (tension_n > 0)])
+    numbers = [float(text.removesuffix(" N")) for text in scale["Points3D:labels"][-1]]
     np.testing.assert_allclose(numbers, typical * np.array([0.1, 1.0, 10.0]), rtol=0.06)
     for entity, columns in temporal.items():
         assert columns["step"] == list(range(steps)), entity
@@ -117,7 +118,7 @@ def check_against(recording, path, steps):
         assert static[f"/plots/{plot}"]["SeriesLines:names"] == [list(names)]
     (layout,) = RrdReader(path).blueprints()
     views = [v for v in blueprint(path, layout) if v.startswith("/view/") and v.count("/") == 2]
-    assert len(views) == 6
+    assert len(views) == 7
     return temporal, static
 
 
@@ -388,4 +389,4 @@ def test_a_mode_moves_in_a_view_of_its_own(recording, tmp_path):
     assert len(static["/mode/undisturbed"]["LineStrips3D:strips"][0]) == 3
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
-    assert len([v for v in views if v.startswith("/view/")]) == 6 + 2
+    assert len([v for v in views if v.startswith("/view/")]) == 7 + 2
