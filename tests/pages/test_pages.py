@@ -72,7 +72,7 @@ def test_paths_in_the_turning_frame_stand_still_where_the_shape_holds(folder):
     recording = read_bag(folder / "bag")
     (drawn,) = [part for part in bag._paths(recording) if 'id="turning_frame"' in part]
     text = re.search(r'Plotly\.newPlot\(\s*"turning_frame",\s*(\[.*?\]),\s*\{"', drawn, re.S)[1]
-    paths = {curve["name"]: curve for curve in json.loads(text)}
+    paths = {curve["name"]: curve for curve in json.loads(text)}  # their last turns
     for name in recording.bead_name:
         x, y = (np.frombuffer(b64decode(paths[name][axis]["bdata"])) for axis in "xy")
         np.testing.assert_allclose(np.hypot(x, y), 5.77, atol=0.02)
@@ -163,6 +163,7 @@ def test_moduli_of_what_is_no_motion_are_not_drawn():
     np.testing.assert_array_equal(curves["largest of all"].y, [1.1, np.nan, np.nan])
     assert list(curves["asymptotically stable"].y) == [0.1]
     assert list(curves["none found"].x) == [-2.0]
+    np.testing.assert_array_equal(curves["what decided"].y, [0.1, np.nan, np.nan, np.nan])
     assert drawn.layout.annotations[0].text == "first slack"
 
 

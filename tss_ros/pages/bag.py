@@ -9,7 +9,7 @@ from tss_ros.bags.commands import describe
 from tss_ros.bags.recording import Recording
 from tss_ros.core import in_words
 from tss_ros.pages import html
-from tss_ros.plots.charts import verdicts_in_words
+from tss_ros.plots.charts import broken, verdicts_in_words
 from tss_ros.plots.motions import shape_in_words, tension_limit
 from tss_ros.scenarios.laws import law_in_words
 
@@ -87,6 +87,8 @@ def _paths(r):
     shown = np.flatnonzero(r.is_satellite)[: html.MOST_CURVES]
     if (others := len(r.bead_name) - len(shown)) > 0:
         said += f" Paths of {len(shown)} satellites; {others} other beads are left out."
+    turns = r.turns[steps]
+    last = int(np.searchsorted(turns, turns[-1] - 1.0))
     plane_m = r.position_m[steps][..., 0] + 1j * r.position_m[steps][..., 1]
     rate = r.spin_rate_ratio * r.orbit_rate_rad_s
     centre_m = np.average(plane_m, axis=1, weights=r.mass_kg)[:, None]
@@ -99,11 +101,14 @@ def _paths(r):
         drawn = html.figure(title, x, y, 480)
         drawn.update_yaxes(scaleanchor="x", scaleratio=1)
         for i, bead in enumerate(shown):
-            path = place_m[:, bead] / 1e3
-            drawn.add_scatter(
-                x=path.real, y=path.imag, name=r.bead_name[bead], mode="lines",
-                line=html.line(i, width=1.0), text=[f"turn {t:.3f}" for t in r.turns[steps]],
-            )  # fmt: skip
+            path, label = place_m[:, bead] / 1e3, r.bead_name[bead]
+            for part, strength in ((slice(None, last + 1), 0.2), (slice(last, None), 1.0)):
+                drawn.add_scatter(
+                    x=path[part].real, y=path[part].imag, name=label, mode="lines",
+                    line=html.line(i, width=1.0 + 0.6 * strength), opacity=strength,
+                    legendgroup=label, showlegend=strength == 1.0,
+                    text=[f"turn {t:.3f}" for t in turns[part]],
+                )  # fmt: skip
         pen = np.full((len(r.tether_ends), 3), np.nan, complex)
         pen[:, :2] = place_m[-1][r.tether_ends] / 1e3
         drawn.add_scatter(
@@ -121,13 +126,14 @@ def _steps_of_paths(r):
     beads = min(int(r.is_satellite.sum()), html.MOST_CURVES)
     most = min(html.MOST_OF_CURVE, html.MOST_POINTS // max(beads, 1))
     if k <= most:
-        return np.arange(k), "All steps are drawn."
-    every = max(1, int(k / max(turns, 1e-9) / POINTS_PER_TURN))
+        return np.arange(k), "All steps are drawn, those of the last turn dark."
+    every = min(-(-k // most), max(1, int(k / max(turns, 1e-9) / POINTS_PER_TURN)))
     steps = np.arange(k - 1, -1, -every)[:most][::-1]
     said = f"One step in {every} is drawn" if every > 1 else "Every step is drawn"
+    said += ", those of the last turn dark"
     if steps[0] >= every:
         first = r.turns[steps[0]]
-        said += f", of the turns from {first:.2f} on; earlier ones are left out"
+        said += f"; turns before {first:.2f} are left out"
     return steps, f"{said}."
 
 
@@ -186,6 +192,9 @@ def moduli(rows: list[dict], critical: list[tuple[float, str]] = ()) -> "html.go
     grey = {"color": "#999999", "width": 1.2}
     drawn.add_scatter(x=rate, y=of_all, mode="lines", name="largest of all", line=grey)
     marked = np.where(np.isfinite(decided), decided, of_all)
+    ink = {"color": "#333333", "width": 1.4}
+    x, y = broken(rate, decided, verdict)
+    drawn.add_scatter(x=x, y=y, mode="lines", name="what decided", line=ink)
     edge = np.nanmin(marked) if np.isfinite(marked).any() else 1.0
     for name, (symbol, colour) in html.VERDICTS.items():
         here = verdict == name

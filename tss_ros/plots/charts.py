@@ -84,7 +84,7 @@ def stability(
     if np.isfinite(decided).any():
         marked = np.where(np.isfinite(decided), decided, of_all)
         axes.plot(
-            *_broken(rate, decided, verdict), color=INK, linewidth=1.3, zorder=2,
+            *broken(rate, decided, verdict), color=INK, linewidth=1.3, zorder=2,
             label="what decided",
         )  # fmt: skip
     _mark_verdicts(axes, rate, marked, verdict)
@@ -138,7 +138,9 @@ def _changes(rate, verdict):
     return [(a, b) for (a, before), (b, after) in itertools.pairwise(known) if before != after]
 
 
-def _broken(rate, modulus, verdict):
+def broken(
+    rate: np.ndarray, modulus: np.ndarray, verdict: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """A curve with the pen lifted where stability ends: another multiplier decides beyond."""
     ends = np.searchsorted(rate, [last for _, last in _changes(rate, verdict)])
     return np.insert(rate, ends, np.nan), np.insert(modulus, ends, np.nan)
