@@ -321,6 +321,26 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
     assert len([v for v in views if v.startswith("/view/")]) == 2 * 7 + 1
 
 
+def test_without_a_driver_a_picture_is_refused_in_one_line(recording, tmp_path, monkeypatch, capfd):
+    for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    with pytest.raises(TssError, match="mesa-vulkan-drivers") as refused:
+        review.save_picture([recording], tmp_path / "x.png", ["made up"])
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr().err == "" and not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("flag", "name"), [("--png", "x.bmp"), ("--video", "x.avi"), ("--save", "x.txt")]
+)
+def test_formats_are_checked_before_a_bag_is_read(flag, name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        review.main(["no_such_bag", flag, name])
+    assert ended.value.code == 2
+    assert f"{flag}: {name!r} has no known ending" in capsys.readouterr().err
+
+
 def test_pictures_are_drawn_without_a_screen(recording, tmp_path, monkeypatch):
     monkeypatch.setattr(review, "VIDEO_FRAMES", 3)
     monkeypatch.delenv("DISPLAY", raising=False)
