@@ -22,6 +22,8 @@ EXTRAS = {
     "notebook": [*PLOTS, *TABLES, "pandas>=2.2.3"],
     # Rerun's viewer
     "review": ["rerun-sdk>=0.39", *PLOTS],
+    # pages of interactive charts
+    "page": ["plotly>=6.0", *PLOTS, *TABLES],
     # the report of the reproduction
     "reproduction": [*PLOTS, *TABLES, "markdown-it-py>=3.0"],
     # sweeps on a Dask cluster

@@ -26,6 +26,7 @@ COMMANDS = {
         "summary": ("summary", "say what a bag holds"),
         "plot": ("plot", "draw a bag"),
         "review": ("review", "look at bags in the Rerun viewer, or save pictures"),
+        "page": ("page", "sum up a bag or a sweep in one page of interactive charts"),
         "export": ("export", "write a bag as CSV or Parquet"),
         "play": ("play", "publish a bag again"),
         "verify": ("verify", "check whether bags are whole"),

@@ -7,10 +7,13 @@ import re
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 #: What an executable is called in its help where it is a command of `tss`.
 SHOWN_AS: dict[str, str] = {}
+#: Endings of figures.
+FIGURES = (".png", ".pdf", ".svg")
 _CODES = {"bold": "1", "red": "31", "cyan": "36"}
 
 
@@ -19,6 +22,45 @@ def painted(text: str, colour: str, stream: TextIO | None = None) -> str:
     stream = stream or sys.stdout
     plain = not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
     return text if plain else f"\033[{_CODES[colour]}m{text}\033[0m"
+
+
+def why_not_written(path: Path, endings: Sequence[str] = (), overwrite: bool = False) -> str:
+    """Why an output cannot be written, or must not.
+
+    Parameters
+    ----------
+    path : Path
+    endings : sequence of str
+        Of which a file's name has one; without any, the output is a folder, which may exist.
+    overwrite : bool
+        Whether a file that exists may be replaced.
+
+    Returns
+    -------
+    str
+        What to say of it; "" if it can be written.
+    """
+    if not endings:
+        there = next(p for p in (path, *path.absolute().parents) if os.path.lexists(p))
+        if not there.is_dir():
+            return f"{str(there)!r} is no folder"
+        return "" if os.access(there, os.W_OK) else f"folder {str(there)!r} cannot be written to"
+    if path.suffix.lower() not in endings:
+        return f"{str(path)!r} has no known ending; allowed: {', '.join(endings)}"
+    if path.is_dir():
+        return f"{str(path)!r} is a folder"
+    if path.is_file() and not overwrite:
+        return f"{str(path)!r} exists already; give another name, or --overwrite"
+    if not path.parent.is_dir():
+        return f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}"
+    writable = os.access(path if path.exists() else path.parent, os.W_OK)
+    return "" if writable else f"{str(path)!r} cannot be written: permission denied"
+
+
+def show_progress(text: str) -> None:
+    """Say on a terminal, in a line that the next one replaces, how far things are; "" ends it."""
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 class _ShowVersion(argparse.Action):
@@ -38,8 +80,30 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *, prog: str, **options: Any) -> None:
         super().__init__(prog=SHOWN_AS.get(prog, prog), **options)
-        self._completing = False
+        self._completing, self._outputs = False, []
         self.add_argument("--version", action=_ShowVersion, dest=argparse.SUPPRESS)
+
+    def add_output(
+        self, flag: str, endings: Sequence[str] = (), group: Any = None, **options: Any
+    ) -> None:
+        """Add an option for a file or folder to be written, which parsing checks.
+
+        Parameters
+        ----------
+        flag : str
+        endings : sequence of str
+            Of which a file's name has one; without any, it is a folder.
+        group : optional
+            Of this parser, for the option to belong to.
+        **options
+            For `add_argument`.
+        """
+        if not self._outputs:
+            self.add_argument(
+                "--overwrite", action="store_true", help="replace files that exist already"
+            )
+        added = (group or self).add_argument(flag, type=Path, **options)
+        self._outputs.append((flag, added.dest, endings))
 
     def parse_args(
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -72,6 +136,10 @@ class Parser(argparse.ArgumentParser):
     def _checked(self, options, unknown):
         if unknown:
             self.refuse(unknown[0])
+        for flag, name, endings in self._outputs:
+            path = getattr(options, name)
+            if path and (why := why_not_written(path, endings, options.overwrite)):
+                self.error(f"{flag}: {why}")
         return options
 
     def refuse(self, word: str, others: Iterable[str] = (), advice: str = "") -> NoReturn:

@@ -24,6 +24,7 @@ EXECUTABLES = {
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
     "review": "review.review:main",
+    "page": "pages.page:main",
     "recover": "bags.recover:main",
     "verify": "bags.verify:main",
     "play": "recorder.play:main",
@@ -36,7 +37,7 @@ EXECUTABLES = {
 }
 #: Those that work where there is no ROS 2.
 WITHOUT_ROS = {"sweep", "follow", "review", "recover", "verify", "summary", "plot", "export"}
-WITHOUT_ROS |= {"compile", "bench", "completion", "ensemble", "simulate"}
+WITHOUT_ROS |= {"compile", "bench", "completion", "ensemble", "simulate", "page"}
 
 
 def __getattr__(name: str) -> Callable[[], int]:

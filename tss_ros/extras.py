@@ -12,6 +12,7 @@ EXTRAS = {
     "rerun": "review",
     "rerun_cli": "review",
     "markdown_it": "reproduction",
+    "plotly": "page",
     "distributed": "cluster",
 }
 #: Packages of ROS 2 and of this project's own interfaces.

@@ -9,6 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tss_ros import core, plots
+from tss_ros.plots.motions import tension_limit
 from tss_ros.plots.style import VERDICT_STYLES
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
@@ -75,7 +76,7 @@ def test_deviation_is_in_per_cent_against_turns_and_from_both_centres():
     figure = plots.deviation(turns, origin, NAMES[:3], centre)
     assert len(figure.axes) == 2
     for axes, values, where in zip(
-        figure.axes, (origin, centre), ("origin", "centre of mass"), strict=True
+        figure.axes, (centre, origin), ("centre of mass", "origin"), strict=True
     ):
         assert where in axes.get_ylabel() and "[%]" in axes.get_ylabel()
         for i, name in enumerate(NAMES[:3]):
@@ -83,6 +84,50 @@ def test_deviation_is_in_per_cent_against_turns_and_from_both_centres():
             np.testing.assert_allclose(lines(axes)[name], expected)
     assert "turns" in figure.axes[-1].get_xlabel()
     assert legend_box_clear_of_axes(figure)
+
+
+@pytest.mark.parametrize(
+    ("growth", "size", "words"),
+    [(-1.0, 0.01, "settles: 1 % at most"), (0.0, 0.01, "holds"), (0.0, 0.5, "lost")],
+)
+def test_deviation_says_first_what_became_of_the_shape(growth, size, words):
+    turns = np.linspace(0, 8, 801)
+    shape = size * np.exp(growth * turns)[:, None]
+    drift = 0.05 * np.sin(2 * np.pi * turns)[:, None]
+    above, below = plots.deviation(turns, shape + drift, ["a"], shape).axes
+    assert words in above.get_title(loc="left")
+    assert ("harmless" in below.get_title(loc="left")) == (words != "lost")
+
+
+def test_paths_of_many_turns_are_drawn_in_full_at_both_ends_only():
+    position_m, turns = spinning_positions(401), np.linspace(0, 8, 401)
+    figure = plots.trajectories(position_m, ENDS, NAMES, IS_SATELLITE, "", turns)
+    for axes in figure.axes:
+        last = lines(axes)[NAMES[0]]
+        np.testing.assert_allclose(last[:, 1], position_m[turns >= 7, 0, 1] / 1e3)
+    assert "8 turns" in figure.get_suptitle()
+
+
+@pytest.mark.parametrize(("spikes", "limit_n"), [(0, np.inf), (3, 6.0)])
+def test_spikes_of_tension_are_cut_and_counted_where_they_would_flatten_the_rest(spikes, limit_n):
+    turns = np.linspace(0, 8, 1001)
+    tension_n = np.full((1001, 2), 2.0)
+    for i in range(spikes):
+        tension_n[100 * i + 50 : 100 * i + 52, i % 2] = 1e4 * (-1) ** i
+    figure = plots.tethers(turns, np.ones_like(tension_n), tension_n, ["a", "b"])
+    axes = figure.axes[1]
+    assert (axes.get_ylim()[1] < 10.0) and tension_limit(tension_n) == limit_n
+    title = axes.get_title(loc="left")
+    assert title == ("3 spikes beyond ±6 N cut (triangles), the highest 10,000 N" if spikes else "")
+
+
+def test_a_legend_beside_many_curves_names_some_and_counts_the_others():
+    names = [f"tether_{i}" for i in range(50)]
+    values = np.ones((2, 50))
+    figure = plots.tethers([0, 1], values, values, names)
+    assert legend_box_clear_of_axes(figure)
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert shown == [*names[:20], "and 30 more"]
 
 
 def test_deviation_from_the_origin_alone_has_one_panel():
@@ -104,20 +149,63 @@ def test_stability_marks_each_rate_by_its_verdict():
     (axes,) = figure.axes
     drawn = lines(axes)
     for verdict in VERDICTS:
-        if verdict:
+        if verdict and verdict != "none found":
             i = VERDICTS.index(verdict)
             np.testing.assert_allclose(drawn[verdict], [[RATES[i], MODULI[i]]])
     markers = [line.get_marker() for line in axes.lines if line.get_label() in VERDICTS]
-    assert len(set(markers)) == len(markers) == 4
+    assert len(set(markers)) == len(markers) == 3
     np.testing.assert_array_equal(drawn["unit modulus"][:, 1], 1)
     np.testing.assert_array_equal(drawn["all multipliers"][:, 0], sorted(RATES))
     order = np.argsort(RATES)
     np.testing.assert_array_equal(
-        drawn["without centre of mass and spin"][:, 1], np.array(nontrivial)[order]
+        drawn["without centre of mass\nand spin"][:, 1],
+        np.where(np.equal(VERDICTS, "none found"), np.nan, nontrivial)[order],
     )
     assert axes.get_yscale() == "log"
     assert "ω/Ω" in axes.get_xlabel() and "monodromy" in axes.get_ylabel()
     assert legend_box_clear_of_axes(figure)
+
+
+RATES_IN_ORDER, FOUND = [-3.0, -2.5, -2.0, -1.5], ["asymptotically stable"] * 2 + ["none found"] * 2
+
+
+def test_curves_of_multipliers_end_where_motions_do_and_say_where_stability_ends():
+    """What a search left at rates without a motion is no multiplier of one."""
+    moduli, decided = [1.1, 1.2, 9.0, 1.3], [1e-3, 1e-4, np.nan, np.nan]
+    figure = plots.stability(RATES_IN_ORDER, moduli, moduli, FOUND, deciding_modulus=decided)
+    (axes,) = figure.axes
+    drawn = lines(axes)
+    np.testing.assert_array_equal(drawn["all multipliers"][:, 1], [1.1, 1.2, np.nan, np.nan])
+    np.testing.assert_array_equal(drawn["asymptotically stable"][:, 1], decided[:2])
+    np.testing.assert_array_equal(drawn["no motion found"][:, 0], [-2.0, -1.5])
+    assert axes.get_xlim()[0] < -3.0 and axes.get_xlim()[1] > -1.5
+    assert len(axes.get_xticks()) > 4
+    assert "between -2.5 and -2" in figure.get_suptitle()
+    (band,) = [patch for patch in axes.patches if patch.get_label() == "the critical rate is here"]
+    assert (band.get_x(), band.get_width()) == (-2.5, 0.5)
+
+
+def test_known_critical_rates_are_lines_with_their_causes():
+    moduli = np.ones(4)
+    figure = plots.stability(
+        RATES_IN_ORDER, moduli, moduli, FOUND, critical=[(-2.17, "first slack"), (-2.1, "spin")]
+    )
+    (axes,) = figure.axes
+    drawn = lines(axes)
+    assert drawn["critical: first slack"][0, 0] == -2.17 and drawn["critical: spin"][0, 0] == -2.1
+    assert not axes.patches
+    assert "-2.17 (first slack), -2.1 (spin)" in figure.get_suptitle()
+
+
+def test_a_map_of_values_far_apart_has_a_tick_for_each():
+    values = np.array([100.0, 300.0, 1000.0, 3000.0])
+    stable = np.array(["asymptotically stable"] * 4)
+    nothing = (np.array([]),) * 4
+    figure = plots.stability_map("damping", (values, -2 * np.ones(4), stable), nothing)
+    (axes,) = figure.axes
+    assert axes.get_xscale() == "log"
+    np.testing.assert_array_equal(axes.get_xticks(), values)
+    assert "4 of 4 motions are stable" in figure.get_suptitle()
 
 
 def test_stability_of_like_moduli_is_drawn_on_a_plain_scale():

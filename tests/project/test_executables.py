@@ -72,7 +72,7 @@ def test_every_executable_tells_what_it_is():
 )
 def test_every_executable_refuses_words_that_it_does_not_know(word, expected):
     # Where something is missing, that is said first.
-    bag = dict.fromkeys(("review", "recover", "verify", "play", "summary", "plot"), ["bag"])
+    bag = dict.fromkeys(("review", "recover", "verify", "play", "summary", "plot", "page"), ["bag"])
     needed = {**bag, "export": ["bag", "--csv", "x"], "stability": ["-2"], "sweep": ["x"]}
     needed["follow"] = ["--from=-3", "--to=-2"]
     needed["simulate"] = ["--turns", "1", "--output", "x"]

@@ -79,7 +79,15 @@ def read_back(path):
 def check_against(recording, path, steps):
     """Compare a Rerun file with the recording, of which it is to hold the first `steps` steps."""
     temporal, static = read_back(path)
+    scale = temporal["/formation/scale/numbers"]
+    assert scale["step"][0] == 0  # and where what follows was sent
+    tension_n = recording.tension_n[:steps]
+    typical = np.median(tension_n[recording.taut[:steps] & (tension_n > 0)])
+    numbers = [float(text.removesuffix(" N")) for text in scale["Points3D:labels"][-1]]
+    np.testing.assert_allclose(numbers, typical * np.array([0.1, 1.0, 10.0]), rtol=0.06)
     for entity, columns in temporal.items():
+        if columns is scale:
+            continue
         assert columns["step"] == list(range(steps)), entity
         seconds = np.array(columns["sim_time"]) * 1e-9
         np.testing.assert_allclose(seconds, recording.t_s[:steps], atol=1e-9)
@@ -112,7 +120,7 @@ def check_against(recording, path, steps):
         assert static[f"/plots/{plot}"]["SeriesLines:names"] == [list(names)]
     (layout,) = RrdReader(path).blueprints()
     views = [v for v in blueprint(path, layout) if v.startswith("/view/") and v.count("/") == 2]
-    assert len(views) == 6
+    assert len(views) == 7
     return temporal, static
 
 
@@ -158,6 +166,7 @@ def test_live_review_draws_what_the_file_review_draws(recording, tmp_path):
     review.save(recording, tmp_path / "file.rrd", "made up")
     temporal, static = read_back(tmp_path / "file.rrd")
     assert live_temporal.keys() == temporal.keys()
+    assert live_temporal["/formation/scale/numbers"]["step"] == [0, 1, 10]
     assert live_static.keys() == static.keys()
 
 
@@ -309,7 +318,27 @@ def test_two_runs_are_shown_side_by_side_with_their_stability_results(recording,
     assert "/run_1/stability" not in static
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
-    assert len([v for v in views if v.startswith("/view/")]) == 2 * 6 + 1
+    assert len([v for v in views if v.startswith("/view/")]) == 2 * 7 + 1
+
+
+def test_without_a_driver_a_picture_is_refused_in_one_line(recording, tmp_path, monkeypatch, capfd):
+    for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    with pytest.raises(TssError, match="mesa-vulkan-drivers") as refused:
+        review.save_picture([recording], tmp_path / "x.png", ["made up"])
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr().err == "" and not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("flag", "name"), [("--png", "x.bmp"), ("--video", "x.avi"), ("--save", "x.txt")]
+)
+def test_formats_are_checked_before_a_bag_is_read(flag, name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        review.main(["no_such_bag", flag, name])
+    assert ended.value.code == 2
+    assert f"{flag}: {name!r} has no known ending" in capsys.readouterr().err
 
 
 def test_pictures_are_drawn_without_a_screen(recording, tmp_path, monkeypatch):
@@ -383,4 +412,4 @@ def test_a_mode_moves_in_a_view_of_its_own(recording, tmp_path):
     assert len(static["/mode/undisturbed"]["LineStrips3D:strips"][0]) == 3
     (layout,) = RrdReader(tmp_path / "x.rrd").blueprints()
     views = [v for v in blueprint(tmp_path / "x.rrd", layout) if v.count("/") == 2]
-    assert len([v for v in views if v.startswith("/view/")]) == 6 + 2
+    assert len([v for v in views if v.startswith("/view/")]) == 7 + 2

@@ -164,6 +164,8 @@ def test_a_rate_that_fails_leaves_the_others_their_results(ask):
         ["fast"],
         ["--from", "-2"],
         ["-2", "-3", "--mode-shape", "x.png"],
+        ["-2", "--plot", "x.bmpp"],
+        ["-2", "--csv", "no/such/folder.csv"],
         ["--from", "-2", "--to", "-3", "--count", "0"],
         ["-2", "--override", "satellite_mass_kg"],
         ["-2", "--override", "satellite_mass_kg=heavy"],

@@ -168,7 +168,7 @@ def test_a_scenario_with_velocities_is_a_start(tmp_path):
         (("--from", "-3", "--to", "-2", "--step", "0"), 1, "longest_step"),
         (("--from", "-3", "--to", "-2", "--points", "0"), 2, "--points is 0"),
         (("--from", "-3", "--to", "-2", "--rate", "-2"), 2, "--rate needs another --parameter"),
-        (("--from", "-3", "--to", "-2", "--output", "a.csv"), 2, "ends in .parquet"),
+        (("--from", "-3", "--to", "-2", "--output", "a.csv"), 2, "allowed: .parquet"),
         (("--from", "1", "--to", "2", "--parameter", "mass"), 1, "satellite_mass_kg"),
         (("--from", "1", "--to", "2", "--parameter", "bead_mass_kg"), 1, "no such bead"),
         (("--from", "-3", "--to", "-2", "--override", "colour=3"), 1, "colour"),

@@ -15,7 +15,7 @@ import yaml
 from tss_ros import plots
 from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.core.trajectory import FIGURES, TABLES
@@ -156,54 +156,67 @@ def told_of_damage(name: str, bag: Path, recording: Recording) -> int:
 
 
 def _plot_options(parser):
-    parser.add_argument(
-        "--output", type=Path, default=Path(), help="folder for the figures; default this one"
-    )
+    parser.add_output("--output", default=Path(), help="folder for the figures; default this one")
     parser.add_argument(
         "--format", choices=("png", "pdf", "svg"), default="png", help="default %(default)s"
     )
 
 
+def _refuse_existing(folder, names, options):
+    """Refuse, before the work, to replace what is in a folder."""
+    for name in names:
+        path = folder / name
+        if path.exists() and (why := why_not_written(path, (path.suffix,), options.overwrite)):
+            raise TssError(why)
+
+
 def _plot(r, options):
+    shown = [*FIGURES, *["stability"] * bool(r.stability)]
+    modes = {f"mode_{result.spin_rate_ratio:g}": result for result in r.stability if result.mode}
+    files = [f"{name}.{options.format}" for name in (*shown, *modes)]
+    _refuse_existing(options.output, [*files, *(f"{name}.gif" for name in modes)], options)
     figures = {name: r.plot(name) for name in FIGURES}
     if r.stability:
         columns = ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict")
         figures["stability"] = plots.stability(
             *([getattr(result, name) for result in r.stability] for name in columns),
             law=laws_in_words((result.tether_law, result.pushing_share) for result in r.stability),
+            deciding_modulus=[result.deciding_modulus for result in r.stability],
         )
     options.output.mkdir(parents=True, exist_ok=True)
-    modes = {
-        f"mode_{result.spin_rate_ratio:g}": plots.mode_of(result)
-        for result in r.stability if result.mode
-    }  # fmt: skip
+    modes = {name: plots.mode_of(result) for name, result in modes.items()}
     figures |= {name: plots.mode_shape(mode) for name, mode in modes.items()}
     for name, figure in figures.items():
+        show_progress(f"drawing {name}")
         path = options.output / f"{name}.{options.format}"
         figure.savefig(path)
+        show_progress("")
         print(path)
     for name, mode in modes.items():
+        show_progress(f"drawing {name}, moving")
         path = options.output / f"{name}.gif"
         plots.animate(mode).save(path)
+        show_progress("")
         print(path)
 
 
 def _export_options(parser):
     kinds = parser.add_mutually_exclusive_group(required=True)
-    kinds.add_argument(
-        "--csv", type=Path, metavar="FOLDER", help="tables run, beads, tethers and stability as CSV"
-    )
-    kinds.add_argument("--parquet", type=Path, metavar="FOLDER", help="the same as Parquet")
-    kinds.add_argument(
-        "--parameters",
-        type=Path,
-        metavar="FOLDER",
-        help="parameters.yaml (for sim_node --ros-args --params-file) and scenario.yaml",
-    )
+    for flag, text in (
+        ("--csv", "tables run, beads, tethers and stability as CSV"),
+        ("--parquet", "the same as Parquet"),
+        (
+            "--parameters",
+            "parameters.yaml (for sim_node --ros-args --params-file) and scenario.yaml",
+        ),
+    ):
+        parser.add_output(flag, group=kinds, metavar="FOLDER", help=text)
 
 
 def _export(recording, options):
     if options.parameters:
+        files = ("parameters.yaml", "scenario.yaml")
+        _refuse_existing(options.parameters, files, options)
         write_parameters(recording, options.parameters)
         return
     import pyarrow.csv
@@ -214,6 +227,8 @@ def _export(recording, options):
         if options.csv
         else (options.parquet, pyarrow.parquet.write_table, "parquet")
     )
+    names = ("run", "beads", "tethers", "stability")
+    _refuse_existing(folder, [f"{name}.{ending}" for name in names], options)
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in tables(recording).items():
         path = folder / f"{name}.{ending}"

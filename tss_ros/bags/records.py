@@ -135,9 +135,7 @@ class Batch:
     chunk: Chunk | None = None
 
     @classmethod
-    def of(
-        cls, data: bytes, offsets: Sequence[int], position: int, chunk: Chunk | None
-    ) -> "Batch":
+    def of(cls, data: bytes, offsets: Sequence[int], position: int, chunk: Chunk | None) -> "Batch":
         """Messages at offsets of a buffer."""
         data, offsets = np.frombuffer(data, np.uint8), np.array(offsets, dtype=int)
         heads = data[offsets[:, None] + np.arange(MESSAGE_HEAD.itemsize)].view(MESSAGE_HEAD)

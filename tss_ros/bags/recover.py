@@ -193,8 +193,7 @@ def _rewrite(checked, notes):
 def _copies_alone(file):
     """Copies of latched messages that no intact chunk has, and where they are."""
     places = {
-        (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data): at
-        for at, m in file.copies
+        (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data): at for at, m in file.copies
     }
     numbers = {place[0] for place in places}
     for batch in file.batches() if numbers else ():

@@ -21,7 +21,7 @@ class Cancelled(TssError):
 
 
 def near_match(word: str, known: Iterable[str]) -> str:
-    """"; did you mean ...?" where a known word is much like this one or holds it, else nothing."""
+    """ "; did you mean ...?" where a known word is much like this one or holds it, else nothing."""
     known, word = list(known), str(word)
     found = difflib.get_close_matches(word, known, 1)
     found += [name for name in known if len(word) > 2 and f"_{word.lower()}" in f"_{name}"]

@@ -153,7 +153,7 @@ class SampledMotion(Presented):
         law = law_in_words(of.tether_law, self.pushing_share) if law is None else law
         if figure == "trajectories":
             return plots.trajectories(
-                self.position_m, of.tether_ends, of.bead_name, of.is_satellite, law
+                self.position_m, of.tether_ends, of.bead_name, of.is_satellite, law, self.turns
             )
         if figure == "tethers":
             return plots.tethers(self.turns, self.length_m, self.tension_n, of.tether_name, law)

@@ -1,5 +1,6 @@
 """Charts of stability over spin rates and parameters."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +16,18 @@ from tss_ros.plots.style import (
     Figure,
     finish,
     legend_below,
+    legend_beside,
     series_style,
     state_law,
 )
 
 _RATE = "spin rate over orbital rate, ω/Ω [-]"
 _HOLD = "probability to hold [-]"
+STABLE, NONE = "asymptotically stable", "none found"
+#: Values of a parameter, at least three, that span this factor get a logarithmic axis.
+LOGARITHMIC = 20.0
+#: So many values of a parameter have a tick each.
+MOST_TICKS = 8
 
 
 def stability(
@@ -30,6 +37,8 @@ def stability(
     verdict: Sequence[str],
     method: str = "monodromy",
     law: str = "",
+    deciding_modulus: ArrayLike | None = None,
+    critical: Sequence[tuple[float, str]] = (),
 ) -> Figure:
     """Largest Floquet multiplier modulus against spin rate; markers show the verdict.
 
@@ -46,62 +55,144 @@ def stability(
         What the multipliers come from, named in the axis label.
     law : str
         Tether law, stated above; "" for nothing.
+    deciding_modulus : array (k,), optional
+        The modulus that decided each verdict [-], NaN where none did. It carries the markers.
+    critical : sequence of (float, str)
+        Critical rates and their causes. Without any, the gaps between neighbours whose verdicts
+        differ are shaded.
 
     Returns
     -------
     matplotlib.figure.Figure
         One axes; its ordinate is logarithmic when the moduli span more than a factor of three.
+        Curves are broken where there is no motion; such rates are marked at the lower edge.
     """
     order = np.argsort(spin_rate_ratio)
-    rate, of_all, nontrivial = (
-        np.asarray(a, dtype=float)[order]
-        for a in (spin_rate_ratio, max_modulus, max_modulus_nontrivial)
-    )
+    rate = np.asarray(spin_rate_ratio, dtype=float)[order]
     verdict = np.asarray(verdict, dtype=object)[order]
-    figure = Figure(figsize=(8.0, 5.0), dpi=DPI, layout="constrained")
+    exists = np.isin(verdict, [name for name in VERDICT_STYLES if name != NONE])
+    decided = np.full(len(rate), np.nan) if deciding_modulus is None else deciding_modulus
+    of_all, nontrivial, decided = (
+        np.where(exists, np.asarray(a, dtype=float)[order], np.nan)
+        for a in (max_modulus, max_modulus_nontrivial, decided)
+    )
+    figure = Figure(figsize=(9.4, 5.2), dpi=DPI, layout="constrained")
     axes = figure.subplots()
     axes.axhline(1, color=INK, linewidth=0.9, linestyle="--", label="unit modulus")
     axes.plot(rate, of_all, color="0.55", linewidth=1.1, zorder=2, label="all multipliers")
     axes.plot(
-        rate,
-        nontrivial,
-        color="0.55",
-        linewidth=1.1,
-        linestyle=(0, (1, 1.2)),
-        marker="|",
-        markersize=9,
-        zorder=2,
-        label="without centre of mass and spin",
-    )
-    for name, style in VERDICT_STYLES.items():
-        here = verdict == name
-        if here.any():
-            axes.plot(
-                rate[here],
-                of_all[here],
-                linestyle="",
-                markersize=7.5,
-                zorder=3,
-                label=name,
-                **style,
-            )
-    finite = np.concatenate([of_all, nontrivial])
-    finite = finite[np.isfinite(finite) & (finite > 0)]
-    if finite.size and finite.max() > 3 * finite.min():
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.yaxis.set_major_formatter(ScalarFormatter())
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    else:
-        axes.ticklabel_format(axis="y", useOffset=False)
+        rate, nontrivial, color="0.55", linewidth=1.1, linestyle=(0, (1, 1.2)), marker="|",
+        markersize=9, zorder=2, label="without centre of mass\nand spin",
+    )  # fmt: skip
+    marked = of_all
+    if np.isfinite(decided).any():
+        marked = np.where(np.isfinite(decided), decided, of_all)
+        axes.plot(
+            *broken(rate, decided, verdict), color=INK, linewidth=1.3, zorder=2,
+            label="what decided",
+        )  # fmt: skip
+    _mark_verdicts(axes, rate, marked, verdict)
+    _scale_moduli(axes, np.concatenate([of_all, nontrivial, decided]))
     finish(
         axes,
         _RATE,
-        f"largest multiplier modulus, max |ρ| [-]\n({method})",
+        f"multiplier modulus |ρ| [-]\n({method})",
     )
-    legend_below(figure, axes, columns=3)
-    state_law(figure, law)
+    axes.xaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]))
+    _mark_critical(axes, rate, verdict, critical)
+    legend_beside(figure, axes)
+    state_law(figure, law, verdicts_in_words(rate, verdict, critical))
     return figure
+
+
+def verdicts_in_words(
+    rate: ArrayLike, verdict: Sequence[str], critical: Sequence[tuple[float, str]] = ()
+) -> str:
+    """Where the verdict changes along spin rates, in words.
+
+    Parameters
+    ----------
+    rate : array (k,)
+        In ascending order.
+    verdict : sequence of str (k)
+    critical : sequence of (float, str)
+        Critical rates and their causes.
+
+    Returns
+    -------
+    str
+    """
+    if len(critical):
+        rates = ", ".join(f"{value:.4g} ({cause})" for value, cause in critical[:3])
+        more = f" and {len(critical) - 3} more" if len(critical) > 3 else ""
+        return f"Critical {'rate' if len(critical) == 1 else 'rates'}: {rates}{more}"
+    gaps = _changes(rate, verdict)
+    if len(gaps) > 2:
+        return f"The verdict changes {len(gaps)} times"
+    if gaps:
+        pairs = " and ".join(f"{first:.4g} and {last:.4g}" for first, last in gaps)
+        return f"The verdict changes between {pairs}"
+    known = {name for name in verdict if name}
+    return f"{min(known).capitalize()} at every rate" if len(known) == 1 else ""
+
+
+def _changes(rate, verdict):
+    """Neighbouring rates between which stability ends or begins."""
+    known = [(x, name == STABLE) for x, name in zip(rate, verdict) if name]
+    return [(a, b) for (a, before), (b, after) in itertools.pairwise(known) if before != after]
+
+
+def broken(
+    rate: np.ndarray, modulus: np.ndarray, verdict: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A curve with the pen lifted where stability ends: another multiplier decides beyond."""
+    ends = np.searchsorted(rate, [last for _, last in _changes(rate, verdict)])
+    return np.insert(rate, ends, np.nan), np.insert(modulus, ends, np.nan)
+
+
+def _mark_verdicts(axes, rate, modulus, verdict):
+    """A marker for each verdict; those without a motion at the lower edge."""
+    for name, style in VERDICT_STYLES.items():
+        here = verdict == name
+        if not here.any():
+            continue
+        shown = {"linestyle": "", "markersize": 7.5, "zorder": 3, "label": name, **style}
+        if name == NONE:
+            edge = axes.get_xaxis_transform()
+            shown |= {"label": "no motion found", "markersize": 6, "clip_on": False}
+            axes.plot(rate[here], np.full(here.sum(), 0.02), transform=edge, **shown)
+        else:
+            axes.plot(rate[here], modulus[here], **shown)
+
+
+def _scale_moduli(axes, moduli):
+    """A logarithmic ordinate with readable ticks, where the moduli span much."""
+    finite = moduli[np.isfinite(moduli) & (moduli > 0)]
+    if not finite.size or finite.max() <= 3 * finite.min():
+        axes.ticklabel_format(axis="y", useOffset=False)
+        return
+    axes.set_yscale("log")
+    if finite.max() > 300 * finite.min():
+        axes.yaxis.set_major_locator(LogLocator(numticks=12))
+    else:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _mark_critical(axes, rate, verdict, critical):
+    """Lines at critical rates, or bands where some must be."""
+    causes = sorted({cause for _, cause in critical})
+    for i, cause in enumerate(causes):
+        for j, value in enumerate(value for value, of in critical if of == cause):
+            axes.axvline(
+                value, color=COLOURS[(i + 3) % len(COLOURS)], linewidth=1.4, zorder=1,
+                label=None if j else f"critical: {cause}",
+            )  # fmt: skip
+    if not causes:
+        for j, (first, last) in enumerate(_changes(rate, verdict)):
+            label = None if j else "the critical rate is here"
+            axes.axvspan(first, last, color="#E69F00", alpha=0.2, linewidth=0, label=label)
 
 
 def stability_map(
@@ -130,7 +221,7 @@ def stability_map(
     -------
     matplotlib.figure.Figure
     """
-    figure = Figure(figsize=(8.0, 5.5), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(9.4, 5.5), dpi=DPI, layout="constrained")
     axes = figure.subplots()
     *places, verdicts = points
     for name, style in VERDICT_STYLES.items():
@@ -141,20 +232,36 @@ def stability_map(
     *places, causes = critical
     for i, cause in enumerate(sorted(set(causes))):
         axes.errorbar(
-            *(place[causes == cause] for place in places),
-            fmt=MARKERS[i % len(MARKERS)],
-            color=COLOURS[i % len(COLOURS)],
-            markersize=6,
-            markerfacecolor="none",
-            capsize=3,
-            label=f"critical: {cause}",
-        )
+            *(place[causes == cause] for place in places), fmt=MARKERS[i % len(MARKERS)],
+            color=INK, markersize=8, markerfacecolor="none", markeredgewidth=1.4, capsize=4,
+            zorder=4, label=f"critical: {cause}",
+        )  # fmt: skip
     if labels:
         axes.set_xticks(range(len(labels)), labels, rotation=20, ha="right")
+        axes.set_xlim(-0.5, len(labels) - 0.5)
+    else:
+        values = np.unique(np.concatenate([points[0], critical[0]]))
+        if values.size > 2 and values[0] > 0 and values[-1] >= LOGARITHMIC * values[0]:
+            axes.set_xscale("log")
+            axes.xaxis.set_major_formatter(ScalarFormatter())
+            if values.size <= MOST_TICKS:
+                axes.set_xticks(values, [f"{value:g}" for value in values], minor=False)
+    axes.yaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]))
     finish(axes, parameter, _RATE)
-    legend_below(figure, axes, columns=3)
-    state_law(figure, law)
+    legend_beside(figure, axes)
+    state_law(figure, law, _map_in_words(verdicts, critical[1]))
     return figure
+
+
+def _map_in_words(verdicts, critical):
+    words = []
+    if len(verdicts):
+        words.append(f"{np.sum(verdicts == STABLE)} of {len(verdicts)} motions are stable")
+    if len(critical) == 1:
+        words.append(f"the critical rate is {critical[0]:.4g}")
+    elif len(critical):
+        words.append(f"critical rates from {min(critical):.4g} to {max(critical):.4g}")
+    return "; ".join(words)
 
 
 def hold_probability(

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
+from tss_ros.core.stability.confirmation import LOST
 from tss_ros.plots.style import (
     DPI,
     INK,
@@ -12,9 +14,19 @@ from tss_ros.plots.style import (
     Figure,
     finish,
     legend_below,
+    legend_beside,
     series_style,
     state_law,
 )
+
+#: A shape that ends with this share of its largest deviation has settled.
+SETTLED = 1 / 3
+#: Tensions above `SPIKE` times what 95 % of them stay below are cut, if the largest is `FAR` times
+#: that limit: else they would press all others into a line.
+SPIKE, FAR = 3.0, 2.0
+WITH_DRIFT = "With the drift of the whole formation"
+#: Turns at each end of a long run of which the paths are drawn in full.
+SHOWN_TURNS = 1.0
 
 
 def trajectories(
@@ -23,6 +35,7 @@ def trajectories(
     bead_name: Sequence[str],
     is_satellite: ArrayLike,
     law: str = "",
+    turns: ArrayLike | None = None,
 ) -> Figure:
     """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
 
@@ -37,6 +50,9 @@ def trajectories(
         Satellites have a symbol, a line style and a name; other beads are thin grey paths.
     law : str
         Tether law, stated above; "" for nothing. So in all figures here.
+    turns : array (k,), optional
+        Simulated time over the spin period [-]. Of a run of more than two turns the last one is
+        drawn in full and the first faintly; what was between is a light trace.
 
     Returns
     -------
@@ -44,37 +60,33 @@ def trajectories(
         Two axes that share the radial direction: the orbital plane [km], and the view along x,
         whose abscissa is in metres because a healthy motion hardly leaves the plane.
     """
-    figure = Figure(figsize=(9.0, 6.4), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(9.0, 6.6), dpi=DPI, layout="constrained")
     plan, edge = figure.subplots(1, 2, sharey=True, width_ratios=(3.4, 1))
-    position_m = np.asarray(position_m, dtype=float)
+    position_m, satellite = np.asarray(position_m, dtype=float), np.asarray(is_satellite)
     x_km, y_km, z_m = position_m[..., 0] / 1e3, position_m[..., 1] / 1e3, position_m[..., 2]
+    first, last = _ends_of_run(turns, len(position_m))
     for axes, across in ((plan, x_km), (edge, z_m)):
         axes.plot(
-            across[:, ~np.asarray(is_satellite)],
-            y_km[:, ~np.asarray(is_satellite)],
-            color="0.7",
-            linewidth=0.5,
+            across[last][:, ~satellite], y_km[last][:, ~satellite], color="0.6", linewidth=0.5
         )
-        for i in np.flatnonzero(is_satellite):
+        for i in np.flatnonzero(satellite):
             style = series_style(i)
             marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
+            if first is not None:
+                axes.plot(across[:, i], y_km[:, i], color="0.9", linewidth=0.6, zorder=1)
+                axes.plot(
+                    across[first][:, i], y_km[first][:, i], color=style["color"], alpha=0.45,
+                    linewidth=0.7, zorder=2,
+                )  # fmt: skip
             axes.plot(
-                across[:, i],
-                y_km[:, i],
-                **style,
-                linewidth=0.8,
-                markevery=[-1],
-                label=bead_name[i],
+                across[last][:, i], y_km[last][:, i], **style,
+                linewidth=0.8 if first is None else 1.3, markevery=[-1], label=bead_name[i],
                 **marker,
-            )
+            )  # fmt: skip
             axes.plot(
-                across[0, i],
-                y_km[0, i],
-                color=style["color"],
-                markerfacecolor="white",
-                linestyle="",
-                **marker,
-            )
+                across[0, i], y_km[0, i], color=style["color"], markerfacecolor="white",
+                linestyle="", **marker,
+            )  # fmt: skip
     for step, linestyle, label in ((0, "--", "start (open symbols)"), (-1, "-", "end (filled)")):
         # One broken line for all tethers: NaN lifts the pen between them.
         ends = np.asarray(tether_ends)
@@ -88,9 +100,23 @@ def trajectories(
     plan.set_aspect("equal", adjustable="datalim")
     finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
     finish(edge, "z, orbit normal [m]", "")
-    legend_below(figure, plan, columns=5)
-    state_law(figure, law)
+    edge.xaxis.set_major_locator(MaxNLocator(3))
+    legend_below(figure, plan, columns=3)
+    title = ""
+    if first is not None:
+        title = f"Paths over {np.ptp(turns):.3g} turns: the last one dark, the first faint"
+        title += ", those between grey"
+    state_law(figure, law, title)
     return figure
+
+
+def _ends_of_run(turns, k):
+    """Steps of the first and last turn, or None and all steps where a run is short."""
+    if turns is None or np.ptp(turns) <= 2 * SHOWN_TURNS:
+        return None, np.arange(k)
+    turns = np.asarray(turns)
+    first = np.flatnonzero(turns <= turns[0] + SHOWN_TURNS)
+    return first, np.flatnonzero(turns >= turns[-1] - SHOWN_TURNS)
 
 
 def deviation(
@@ -117,14 +143,19 @@ def deviation(
     Returns
     -------
     matplotlib.figure.Figure
-        One axes for each of the two measures given, ordinates in per cent.
+        One axes for each of the two measures given, ordinates in per cent, the shape's first.
+        Titles say whether the shape settled, held or was lost.
     """
-    panels = [("from the frame's origin (Eq. 53) [%]", deviation)]
+    panels = [("", "from the frame's origin (Eq. 53) [%]", deviation)]
     if from_centre_of_mass is not None:
-        panels.append(("from the centre of mass [%]", from_centre_of_mass))
-    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass)
+        panels = [
+            (shape, "from the centre of mass [%]", from_centre_of_mass),
+            (drift, *panels[0][1:]),
+        ]
+    figure = Figure(figsize=(9.4, 1.0 + 2.9 * len(panels)), dpi=DPI, layout="constrained")
     rows = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
-    for axes, (label, values) in zip(rows, panels):
+    for axes, (title, label, values) in zip(rows, panels):
         for i, name in enumerate(bead_name):
             axes.plot(
                 turns, 100 * np.asarray(values)[:, i], **series_style(i), linewidth=1.1, label=name
@@ -132,10 +163,45 @@ def deviation(
         axes.axhline(0, color=INK, linewidth=0.6, zorder=1)
         axes.margins(x=0.01)
         finish(axes, "", f"deviation\n{label}")
-    rows[-1].set_xlabel("turns of the formation [-]")
-    legend_below(figure, rows[0], columns=min(6, len(bead_name)))
+        axes.set_title(title, loc="left", color=INK, fontsize="medium")
+    _count_turns(rows[-1])
+    legend_beside(figure, rows[0])
     state_law(figure, law)
     return figure
+
+
+def shape_in_words(
+    turns: ArrayLike, from_origin: ArrayLike, from_centre_of_mass: ArrayLike
+) -> tuple[str, str]:
+    """What became of the shape, and what the deviation from the frame's origin is.
+
+    Parameters
+    ----------
+    turns : array (k,)
+    from_origin, from_centre_of_mass : array (k, n)
+        Eq. 53 [-].
+
+    Returns
+    -------
+    tuple of str, str
+    """
+    turns = np.asarray(turns)
+    size = np.nanmax(np.abs(from_centre_of_mass), axis=1, initial=0.0)
+    worst, late = float(np.max(size)), float(np.max(size[turns >= turns[-1] - 1.0]))
+    all_in_all = float(np.nanmax(np.abs(from_origin), initial=0.0))
+    if worst > LOST:
+        return f"The shape is lost: it deviates by up to {worst:.0%}", WITH_DRIFT
+    if late < SETTLED * worst and np.ptp(turns) > 1.0:
+        words = f"The shape settles: {100 * worst:.2g} % at most, "
+        words += f"{100 * late:.2g} % in the last turn"
+    else:
+        words = f"The shape holds: it deviates by at most {100 * worst:.2g} %"
+    if all_in_all < 2.0 * worst:
+        return words, f"{WITH_DRIFT}, which adds little"
+    return words, (
+        f"{WITH_DRIFT} along its orbit, up to {100 * all_in_all:.2g} %:"
+        " harmless, the shape does not feel it"
+    )
 
 
 def tethers(
@@ -158,9 +224,51 @@ def tethers(
     Returns
     -------
     matplotlib.figure.Figure
+        Spikes of tension that would flatten all else are cut, marked at the edge and counted.
     """
+    tension_n = np.asarray(tension_n, dtype=float)
     panels = (("length [m]", length_m), ("tension [N]", tension_n))
-    return _panels(turns, panels, tether_name, law)
+    figure = _panels(turns, panels, tether_name, law)
+    limit_n = tension_limit(tension_n)
+    if np.isfinite(limit_n):
+        _cut_spikes(figure.axes[1], np.asarray(turns), tension_n, limit_n)
+    return figure
+
+
+def _cut_spikes(axes, turns, tension_n, limit_n):
+    """End the ordinate at a limit; mark and count what goes beyond."""
+    lowest = max(float(np.nanmin(tension_n)), -limit_n)
+    axes.set_ylim(lowest - 0.08 * limit_n, 1.08 * limit_n)
+    number = 0
+    for beyond, edge, marker in ((tension_n > limit_n, 1, "^"), (tension_n < -limit_n, -1, "v")):
+        for j, begins in enumerate(_begins(beyond).T):
+            number += begins.sum()
+            axes.plot(
+                turns[begins], np.full(begins.sum(), 1.03 * edge * limit_n), linestyle="",
+                marker=marker, markersize=5, color=series_style(j)["color"], clip_on=False,
+            )  # fmt: skip
+    sign = "±" if np.nanmin(tension_n) < -limit_n else ""
+    noun = "spike" if number == 1 else "spikes"
+    axes.set_title(
+        f"{number} {noun} beyond {sign}{limit_n:.3g} N cut (triangles), the highest"
+        f" {np.nanmax(tension_n):,.0f} N",
+        loc="left", color=INK, fontsize="medium",
+    )  # fmt: skip
+
+
+def tension_limit(tension_n: ArrayLike) -> float:
+    """Where an axis of tensions ends [N] so that spikes do not flatten it; inf if none would."""
+    size = np.abs(np.asarray(tension_n, dtype=float))
+    size = size[np.isfinite(size) & (size > 0.0)]
+    if not size.size:
+        return np.inf
+    limit_n = SPIKE * float(np.percentile(size, 95))
+    return limit_n if size.max() > FAR * limit_n else np.inf
+
+
+def _begins(above):
+    """Where each run of true values begins, down the columns."""
+    return above & ~np.vstack([np.zeros_like(above[:1]), above[:-1]])
 
 
 def balance(
@@ -179,16 +287,27 @@ def balance(
     -------
     matplotlib.figure.Figure
     """
-    names = ("x, against the flight direction", "y, radial, up", "z, orbit normal")
+    names = ("x, against the flight", "y, radial, up", "z, orbit normal")
     panels = (("centre of mass [m]", centre_of_mass_m), ("energy [J]", []))
     figure = _panels(turns, panels, names, law)
     figure.axes[1].plot(turns, energy_j, color=INK, linewidth=1.1)
+    moved_m = float(np.ptp(np.asarray(centre_of_mass_m), axis=0).max())
+    change_j = float(energy_j[-1] - energy_j[0])
+    for axes, words in zip(
+        figure.axes,
+        (
+            f"The centre of mass moves by {moved_m:.3g} m along an axis",
+            f"The energy in the orbit frame {'falls' if change_j < 0 else 'rises'}"
+            f" by {abs(change_j):.3g} J",
+        ),
+    ):
+        axes.set_title(words, loc="left", color=INK, fontsize="medium")
     return figure
 
 
 def _panels(turns, panels, names, law):
     """One axes for each (label, array (k, curves)), with a common abscissa and one legend."""
-    figure = Figure(figsize=(8.0, 1.2 + 2.7 * len(panels)), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(9.4, 1.0 + 2.9 * len(panels)), dpi=DPI, layout="constrained")
     rows = figure.subplots(len(panels), 1, sharex=True)
     for axes, (label, values) in zip(rows, panels):
         for i, curve in enumerate(np.transpose(values)):
@@ -196,7 +315,13 @@ def _panels(turns, panels, names, law):
         axes.margins(x=0.01)
         axes.ticklabel_format(axis="y", useOffset=False)
         finish(axes, "", label)
-    rows[-1].set_xlabel("turns of the formation [-]")
-    legend_below(figure, rows[0], columns=min(6, len(names)))
+    _count_turns(rows[-1])
+    legend_beside(figure, rows[0])
     state_law(figure, law)
     return figure
+
+
+def _count_turns(axes):
+    """The abscissa of turns, ticks at whole ones where there are several."""
+    axes.set_xlabel("turns of the formation [-]")
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=axes.get_xlim()[1] > 3))

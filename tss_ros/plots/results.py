@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from tss_ros.core import FAMILIES, CriticalRate, FloquetResult, TssError
@@ -87,7 +86,7 @@ def plot_modulus(
     Returns
     -------
     matplotlib.figure.Figure
-        Rates where no motion was found are grey; no curve goes through them.
+        Rates where no motion was found are marked at the edge; no curve goes through them.
 
     Raises
     ------
@@ -99,39 +98,18 @@ def plot_modulus(
     methods = dict.fromkeys(result.method for result in results)
     if len(methods) != 1:
         raise TssError(f"results must be by one method, got {', '.join(methods) or 'none'}")
-    missing = np.array([result.verdict == NONE_FOUND for result in results])
-    rates, *moduli = (
-        np.array([getattr(result, name) for result in results])
-        for name in ("spin_rate_ratio", "max_modulus", "max_modulus_nontrivial")
-    )
-    verdicts = ["" if gap else result.verdict for gap, result in zip(missing, results)]
-    figure = stability(
-        rates, *(np.where(missing, np.nan, values) for values in moduli), verdicts, *methods,
-        law=_law(results) if law is None else law,
+    rates, *moduli, deciding = (
+        [getattr(result, name) for result in results]
+        for name in (
+            "spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "deciding_modulus"
+        )
     )  # fmt: skip
-    (axes,) = figure.axes
-    for i, (low, high) in enumerate(_gaps(rates, missing)):
-        axes.axvspan(
-            low, high, color="0.92", zorder=0, linewidth=0,
-            label="no motion found" if i == 0 else None,
-        )  # fmt: skip
-    for i, rate in enumerate(critical):
-        axes.axvline(
-            rate.spin_rate_ratio, color=COLOURS[i % len(COLOURS)], linestyle=(0, (5, 2)),
-            linewidth=1.3, zorder=1, label=f"{rate.cause} at {rate.spin_rate_ratio:.4g}",
-        )  # fmt: skip
-    axes.xaxis.set_major_locator(MaxNLocator(9))
-    for legend in figure.legends:
-        legend.remove()
-    legend_below(figure, axes, columns=3)
-    return figure
-
-
-def _gaps(rates, missing):
-    """Ends of the ranges of sorted rates without motions, half way to those that have one."""
-    edges = np.concatenate([rates[:1], 0.5 * (rates[1:] + rates[:-1]), rates[-1:]])
-    change = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-    return edges[change.reshape(-1, 2)]
+    return stability(
+        rates, *moduli, [result.verdict for result in results], *methods,
+        law=_law(results) if law is None else law,
+        deciding_modulus=deciding,
+        critical=[(rate.spin_rate_ratio, rate.cause) for rate in critical],
+    )  # fmt: skip
 
 
 def plot_chart(

@@ -7,6 +7,7 @@ import io
 
 import matplotlib.figure
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 # Okabe and Ito's palette without yellow: distinct for every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -29,6 +30,8 @@ VERDICT_STYLES = {
 INK = "#333333"
 #: Of figures, and of pages of notebooks.
 DPI, SHOWN_DPI = 200, 96
+#: Most curves that a legend names.
+MOST_NAMED = 20
 
 
 class Figure(matplotlib.figure.Figure):
@@ -56,10 +59,25 @@ def finish(axes: Axes, xlabel: str, ylabel: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def state_law(figure: Figure, law: str) -> None:
-    """Say above a figure under which tether law its motions are, if a text says so."""
+def state_law(figure: Figure, law: str, title: str = "") -> None:
+    """Say above a figure what it shows, and under which tether law, if texts say so."""
+    lines = [title] if title else []
     if law:
-        figure.suptitle(f"tether law: {law}", color=INK, fontsize="medium")
+        lines.append(f"tether law: {law}")
+    if lines:
+        figure.suptitle("\n".join(lines), color=INK, fontsize="medium")
+
+
+def legend_beside(figure: Figure, axes: Axes) -> None:
+    """One legend for the figure, of the curves in `axes`, to the right of them.
+
+    Of more than `MOST_NAMED` curves the first are named, and the number of the others.
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    if (others := len(labels) - MOST_NAMED) > 0:
+        handles = [*handles[:MOST_NAMED], Line2D([], [], linestyle="")]
+        labels = [*labels[:MOST_NAMED], f"and {others} more"]
+    figure.legend(handles, labels, loc="outside right upper", frameon=False)
 
 
 def legend_below(figure: Figure, axes: Axes, columns: int) -> None:

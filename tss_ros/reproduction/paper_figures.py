@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from tss_ros.bags.recording import Recording
 from tss_ros.plots.style import (
@@ -27,6 +28,8 @@ from tss_ros.plots.style import (
 SPIN_RATE = "clockwise spin rate |ω|/Ω [-]"
 #: Room beside views in space, whose vertical label the layout does not see.
 BESIDE_SPACE = 0.12
+#: How much of their colour the paths of all turns but the last have.
+EARLIER = 0.3
 TURNS = "turns of the formation [-]"
 
 
@@ -71,14 +74,14 @@ def orbit(recording: Recording) -> Figure:
 
 
 def deviations(recordings: Sequence[Recording]) -> Figure:
-    """Fig. 8: relative deviation (53) of several motions, from the origin and from the centre."""
+    """Fig. 8: relative deviation (53) of several motions, from the centre and from the origin."""
     figure = _figure(9.0, 5.6, recordings=recordings)
     rows = figure.subplots(2, len(recordings), sharex="col", squeeze=False)
     for column, recording in enumerate(recordings):
         title = f"({'ab'[column]}) |ω| = {abs(recording.spin_rate_ratio):g} Ω"
-        _deviation(rows[0, column], recording, recording.deviation, "from the origin, Eq. (53) [%]")
         from_centre = recording.deviation_from_centre
-        _deviation(rows[1, column], recording, from_centre, "from the centre of mass [%]")
+        _deviation(rows[0, column], recording, from_centre, "from the centre of mass [%]")
+        _deviation(rows[1, column], recording, recording.deviation, "from the origin, Eq. (53) [%]")
         rows[0, column].set_title(title, fontsize=10)
         rows[0, column].set_xlabel("")
     legend_below(figure, rows[0, 0], columns=3)
@@ -172,7 +175,7 @@ def multipliers(
         inside = [r["nontrivial"] for r in rows if abs(r["rate"] - claimed) < 0.125]
         if max(inside) < 10:
             near.set_yscale("linear")
-            top = max(1.01, 1.05 * max(inside))
+            top = max(1.01, 1.3 * max(inside) - 0.3)
             near.set_ylim(1.0 - 0.05 * (top - 1.0), top)
             near.ticklabel_format(axis="y", useOffset=False)
     legend_below(figure, grid[0, 0], columns=3)
@@ -267,6 +270,8 @@ def _multipliers(axes, rows, claimed, found, pulling):
     }
     verdict = np.array([r["verdict"] for r in rows], dtype=object)[order]
     rate = rate[order]
+    for key in ("nontrivial", "shape"):  # the frozen method needs no motion that closes
+        columns[key] = np.where(verdict == "none found", np.nan, columns[key])
     axes.plot(rate, columns["nontrivial"], color="0.45", linewidth=1, label="true, max |ρ|")
     axes.plot(
         rate,
@@ -286,8 +291,12 @@ def _multipliers(axes, rows, claimed, found, pulling):
     )
     for name, style in VERDICT_STYLES.items():
         here = verdict == name
-        shown = {"linestyle": "", "markersize": 5, "zorder": 3, **style}
-        axes.plot(rate[here], columns["nontrivial"][here], label=name, **shown)
+        shown = {"linestyle": "", "markersize": 5, "zorder": 3, "label": name, **style}
+        if name == "none found" and here.any():  # at the lower edge
+            edge = {"transform": axes.get_xaxis_transform(), "clip_on": True}
+            axes.plot(rate[here], np.full(here.sum(), 0.03), **shown, **edge)
+        elif here.any():
+            axes.plot(rate[here], columns["nontrivial"][here], **shown)
     axes.axhline(1, color=INK, linewidth=0.7)
     axes.axvline(abs(claimed), color=INK, linewidth=1, linestyle=":", label="paper's critical rate")
     if found is not None:
@@ -300,6 +309,11 @@ def _multipliers(axes, rows, claimed, found, pulling):
             label="tethers that only pull: held beyond",
         )  # fmt: skip
     axes.set_yscale("log")
+    seen = np.concatenate([values[np.isfinite(values)] for values in columns.values()])
+    if seen.size and seen.max() < 100 * seen.min():
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.2, 1.5, 2, 3, 5)))
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.yaxis.set_minor_formatter(NullFormatter())
     finish(axes, SPIN_RATE, "multiplier modulus |ρ| [-]")
 
 
@@ -315,10 +329,17 @@ def _curves(recording):
             label = None
 
 
+def _last_turn(recording):
+    """The step with which the last turn begins; paths before it are drawn faintly."""
+    return int(np.searchsorted(recording.turns, recording.turns[-1] - 1.0))
+
+
 def _space(axes, recording):
     position_km = recording.position_m / 1e3
+    last = _last_turn(recording)
     for i, label, style in _curves(recording):
-        axes.plot(*position_km[:, i].T, **style, linewidth=0.6, label=label)
+        axes.plot(*position_km[: last + 1, i].T, **style, linewidth=0.4, alpha=EARLIER)
+        axes.plot(*position_km[last:, i].T, **style, linewidth=0.9, label=label)
     for step, face in ((0, "white"), (-1, INK)):
         for a, b in recording.tether_ends:
             axes.plot(*position_km[step, [a, b]].T, color=INK, linewidth=0.8 if step else 0.5)
@@ -343,8 +364,10 @@ def _space(axes, recording):
 
 def _top(axes, recording):
     x_km, y_km = recording.position_m[..., 0] / 1e3, recording.position_m[..., 1] / 1e3
+    last = _last_turn(recording)
     for i, label, style in _curves(recording):
-        axes.plot(x_km[:, i], y_km[:, i], **style, linewidth=0.7, label=label)
+        axes.plot(x_km[: last + 1, i], y_km[: last + 1, i], **style, linewidth=0.4, alpha=EARLIER)
+        axes.plot(x_km[last:, i], y_km[last:, i], **style, linewidth=1.0, label=label)
     for step, face, name in ((0, "white", "start (open)"), (-1, INK, "end (filled)")):
         for k, (a, b) in enumerate(recording.tether_ends):
             axes.plot(

@@ -18,15 +18,16 @@ from PIL import Image
 from tss_ros.bags.commands import told_of_damage
 from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.bags.records import one_line
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, show_progress
 from tss_ros.core import TssError
 from tss_ros.core.stability.law_words import law_in_words
+from tss_ros.plots.motions import tension_limit
 from tss_ros.review import viewer
 from tss_ros.review.scene import APPLICATION, Scene, layout
 
-VIEW_TITLE = "Orbit frame [m], tethers blue to red with tension, thin grey when slack"
+VIEW_TITLE = "Orbit frame [m], tethers coloured by tension (scale beside), thin grey when slack"
 PICTURE_SIZE, VIDEO_SIZE = (1600, 900), (1280, 720)
-VIDEO_FRAMES, VIDEO_FRAMES_PER_S = 100, 10
+VIDEO_FRAMES, VIDEO_FRAMES_PER_S, VIDEOS = 100, 10, (".mp4", ".gif")
 
 
 class LiveReview:
@@ -100,6 +101,9 @@ def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Seq
     scenes = [Scene(stream, recording, root) for recording, root in zip(recordings, roots)]
     for scene, recording in zip(scenes, recordings):
         scene.send(recording)
+        limit_n = tension_limit(recording.tension_n)
+        if np.isfinite(limit_n):
+            scene.tension_range_n = (max(float(recording.tension_n.min()), -limit_n), limit_n)
     titles = [
         f"{name}; {law_in_words(recording.tether_law, recording.pushing_share)}"
         for name, recording in zip([VIEW_TITLE] if alone else names, recordings)
@@ -159,9 +163,9 @@ def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequenc
         written.
     """
     path, ffmpeg = Path(path), shutil.which("ffmpeg")
-    if path.suffix not in (".mp4", ".gif"):
-        raise TssError(f"video {str(path)!r} has no known ending; allowed: .mp4, .gif")
-    if path.suffix == ".mp4" and not ffmpeg:
+    if path.suffix.lower() not in VIDEOS:
+        raise TssError(f"video {str(path)!r} has no known ending; allowed: {', '.join(VIDEOS)}")
+    if path.suffix.lower() == ".mp4" and not ffmpeg:
         raise TssError(
             "there is no ffmpeg to write .mp4 (sudo apt install ffmpeg); .gif needs none"
         )
@@ -170,8 +174,9 @@ def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequenc
         frames = []
         for i, t_s in enumerate(np.linspace(start, end, VIDEO_FRAMES)):
             frames.append(draw(t_s))
-            _progress(f"frame {i + 1} of {VIDEO_FRAMES}")
-    if path.suffix == ".gif":
+            show_progress(f"frame {i + 1} of {VIDEO_FRAMES}")
+    show_progress("writing the file")
+    if path.suffix.lower() == ".gif":
         period_ms = 1000 // VIDEO_FRAMES_PER_S
         more = {"save_all": True, "append_images": frames[1:], "duration": period_ms, "loop": 0}
         _write(path, frames[0].save, format="GIF", **more)
@@ -191,6 +196,7 @@ def _unseen(recordings, names, size):
     """A function that draws the viewer at a simulation time [s], as a PIL image."""
     with tempfile.TemporaryDirectory() as folder:
         file, picture = Path(folder) / "review.rrd", Path(folder) / "picture.png"
+        show_progress("loading the recording into the viewer")
         _save(recordings, file, names)
         with viewer.unseen(file, *size) as client:
 
@@ -213,11 +219,6 @@ def _write(path, write, **options):
             write(stream, **options)
     except OSError as error:
         raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
-
-
-def _progress(text):
-    if sys.stderr.isatty():
-        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _show_in_viewer(recordings, names):
@@ -251,16 +252,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--run", type=int, help="which run of a bag with several; default the last")
     instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun file instead")
     instead.add_argument("--web", action="store_true", help="show it in a browser on this machine")
-    instead.add_argument("--png", type=Path, metavar="FILE", help="draw the last step instead")
-    instead.add_argument(
-        "--video", type=Path, metavar="FILE", help="draw the whole motion into a .mp4 or .gif"
-    )
+    for flag, endings, help in (
+        ("--save", (".rrd",), "write a Rerun file (.rrd) instead"),
+        ("--png", (".png",), "draw the last step (.png) instead"),
+        ("--video", VIDEOS, "draw the whole motion into a .mp4 or .gif"),
+    ):
+        parser.add_output(flag, endings, instead, metavar="FILE", help=help)
     arguments = parser.parse_args(argv)
     try:
+        show_progress("reading")
         recordings = [read_bag(bag, arguments.run, damaged=True) for bag in arguments.bag]
         status = max([told_of_damage("review", *read) for read in zip(arguments.bag, recordings)])
+        show_progress("")
         names = [bag.resolve().name for bag in arguments.bag]
         for bag, recording in zip(arguments.bag, recordings):
             if recording.runs > 1:
@@ -271,7 +275,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             (arguments.video, save_video),
         ):
             if path is not None:
-                write(recordings, path, names)
+                try:
+                    write(recordings, path, names)
+                finally:
+                    show_progress("")
                 print(path)
                 return status
         (_show_in_browser if arguments.web else _show_in_viewer)(recordings, names)

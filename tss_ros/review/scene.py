@@ -35,12 +35,21 @@ TRAIL_WIDTH = rr.Radius.ui_points(1.0)
 
 #: Title, names of the curves (an attribute of Recording, or the names), values (an attribute).
 PLOTS = {
-    "deviation": ("Deviation from the undisturbed radius [-]", "bead_name", "deviation"),
+    "shape": ("Shape: deviation from the centre of mass [-]", "bead_name", "deviation_from_centre"),
     "length": ("Tether length [m]", "tether_name", "length_m"),
     "tension": ("Tether tension [N]", "tether_name", "tension_n"),
+    "deviation": ("Drift: deviation from the frame's origin [-]", "bead_name", "deviation"),
     "energy": ("Energy in the orbit frame [J]", ("energy",), "energy_j"),
     "centre_of_mass": ("Centre of mass [m]", ("x", "y (up)", "z"), "centre_of_mass_m"),
 }
+
+#: Those that share the last panel, as tabs.
+BEHIND = ("deviation", "centre_of_mass", "energy")
+#: Where legends hide the least: drifts grow.
+_LEGENDS = {"deviation": rrb.Corner2D.LeftTop, "centre_of_mass": rrb.Corner2D.LeftTop}
+#: Parts of the scale of tensions, and its place and height over the reach of the view.
+SCALE_PARTS, SCALE_X, SCALE_HEIGHT = 16, 1.15, 1.0
+_SCALE = np.linspace(-0.5, 0.5, SCALE_PARTS + 1)
 
 
 class Scene:
@@ -68,7 +77,8 @@ class Scene:
             for i in self._satellites
         }
         self._last_position_m = None
-        self._recent_tension_n = np.empty(0)
+        self._recent_tension_n, self._typical_n = np.empty(0), 0.0
+        self.tension_range_n = None
         self._send_static(recording)
 
     def send(self, recording: Recording) -> None:
@@ -80,12 +90,9 @@ class Scene:
         }
         for first in range(0, len(turns), BATCH_STEPS):
             steps = slice(first, first + BATCH_STEPS)
-            when = [
-                rr.TimeColumn("sim_time", duration=recording.t_s[steps]),
-                rr.TimeColumn("milliturns", sequence=np.rint(1e3 * turns[steps]).astype(int)),
-                rr.TimeColumn("step", sequence=recording.step[steps]),
-            ]
+            when = _when(recording, steps)
             self._send_formation(when, recording, steps)
+            self._send_scale(_when(recording, slice(first, first + 1)))
             for plot, values in curves.items():
                 columns = rr.Scalars.columns(scalars=values[steps].ravel())
                 path = f"{self.root}plots/{plot}"
@@ -162,6 +169,10 @@ class Scene:
             dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(3), colors=BEADS)
             log("formation/beads", dots)
         names = list(recording.tether_name)
+        numbers = rr.Points3D.from_fields(
+            colors=AXES, radii=rr.Radius.ui_points(1), show_labels=True
+        )
+        log("formation/scale/numbers", numbers)
         log("formation/tethers", rr.LineStrips3D.from_fields(labels=names, show_labels=False))
         for i, path in self.trails.items():
             style = rr.LineStrips3D.from_fields(colors=_colours([i]), radii=TRAIL_WIDTH)
@@ -197,11 +208,23 @@ class Scene:
         """Colours from a tenth to ten times the tension typical of what was sent lately."""
         known = np.concatenate([self._recent_tension_n, tension_n[taut & (tension_n > 0)]])
         self._recent_tension_n = known[-RECENT_TENSIONS:]
-        typical = np.median(known) if known.size else 1.0
+        self._typical_n = typical = float(np.median(known)) if known.size else 1.0
         decade = np.log10(np.maximum(tension_n, 1e-3 * typical) / typical)
-        anchors = np.array([LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION])
-        colour = np.stack([np.interp(decade, (-1, 0, 1), anchor) for anchor in anchors.T], axis=-1)
-        return np.where(taut[..., None], colour, SLACK).astype(np.uint8)
+        return np.where(taut[..., None], _colour_of(decade), SLACK).astype(np.uint8)
+
+    def _send_scale(self, when):
+        """A bar beside the formation that says what its tethers' colours mean, from now on."""
+        x, y = SCALE_X * self.reach_m, SCALE_HEIGHT * self.reach_m * _SCALE
+        ends = np.stack([np.full_like(y, x), y, np.zeros_like(y)], axis=-1)
+        bar = np.stack([ends[:-1], ends[1:]], axis=1)
+        colours = _colour_of(2.0 * (_SCALE[:-1] + _SCALE[1:])).astype(np.uint8)
+        self._log("formation/scale", rr.LineStrips3D(bar, colors=colours, radii=TETHER_WIDTH))
+        labels = [f"{factor * self._typical_n:.2g} N" for factor in (0.1, 1.0, 10.0)]
+        beside = (0.12 * self.reach_m, 0.0, 0.0)
+        places = ends[[0, SCALE_PARTS // 2, SCALE_PARTS]] + beside
+        points = rr.Points3D.columns(positions=places, labels=labels)
+        path = f"{self.root}formation/scale/numbers"
+        self._stream.send_columns(path, when, points.partition([len(labels)]))
 
     def _send_axes(self, position_m):
         self.reach_m = 1.2 * np.linalg.norm(position_m, axis=-1).max()
@@ -242,7 +265,8 @@ def layout(scenes: Sequence[Scene], titles: Sequence[str]) -> rrb.Blueprint:
                     eye_controls=eye,
                 )
             )  # fmt: skip
-        plots = rrb.Vertical(*(_plot_view(scene, plot) for plot in PLOTS))
+        before = [_plot_view(scene, plot) for plot in PLOTS if plot not in BEHIND]
+        plots = rrb.Vertical(*before, rrb.Tabs(*(_plot_view(scene, plot) for plot in BEHIND)))
         if len(scenes) == 1:
             left = rrb.Vertical(*views, row_shares=[3, 1, 2][: len(views)])
             columns.append(rrb.Horizontal(left, plots, column_shares=(3, 2)))
@@ -296,11 +320,16 @@ def _plot_view(scene, plot):
     everything = rr.TimeRange(
         start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
+    name, axis_y = PLOTS[plot][0], None
+    if plot == "tension" and scene.tension_range_n:
+        axis_y = rrb.ScalarAxis(range=scene.tension_range_n)
+        name += f", spikes cut at {scene.tension_range_n[1]:.3g} N"
     return rrb.TimeSeriesView(
         origin=f"{scene.root}plots/{plot}",
-        name=PLOTS[plot][0],
+        name=name,
         axis_x=rrb.TimeAxis(view_range=everything),
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+        axis_y=axis_y,
+        plot_legend=rrb.PlotLegend(corner=_LEGENDS.get(plot, rrb.Corner2D.RightTop)),
     )
 
 
@@ -316,6 +345,22 @@ def stability_table(results: Iterable[Any]) -> str:
             f"| {verdict} | {law_in_words(r.tether_law, r.pushing_share)} |"
         )
     return "\n".join(rows)
+
+
+def _when(recording, steps):
+    """Times of some steps on all timelines."""
+    milliturns = np.rint(1e3 * recording.turns[steps]).astype(int)
+    return [
+        rr.TimeColumn("sim_time", duration=recording.t_s[steps]),
+        rr.TimeColumn("milliturns", sequence=milliturns),
+        rr.TimeColumn("step", sequence=recording.step[steps]),
+    ]
+
+
+def _colour_of(decade):
+    """Colours (..., 3) of tensions, by the decimal logarithm of how many times typical they are."""
+    anchors = np.array([LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION])
+    return np.stack([np.interp(decade, (-1, 0, 1), anchor) for anchor in anchors.T], axis=-1)
 
 
 def _lengths(values):

@@ -2,11 +2,14 @@
 
 import contextlib
 import os
+import re
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 from urllib.parse import urlsplit
 
 import rerun as rr
@@ -27,6 +30,8 @@ class Viewer:
     ----------
     *options : str
         For Rerun's command line.
+    errors : file, optional
+        Takes what it writes to stderr.
 
     Attributes
     ----------
@@ -39,7 +44,7 @@ class Viewer:
         If it does not start.
     """
 
-    def __init__(self, *options: str) -> None:
+    def __init__(self, *options: str, errors: IO[bytes] | None = None) -> None:
         port = free_port()
         self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         # The viewer itself, not the Python script around it, which would not pass signals on.
@@ -52,6 +57,7 @@ class Viewer:
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
+            stderr=errors,
             start_new_session=True,
         )
         deadline = time.monotonic() + START_S
@@ -119,23 +125,27 @@ def unseen(file: Path, width: int, height: int) -> Iterator[ViewerClient]:
         If it cannot draw here or fails.
     """
     viewer = None
-    try:
-        viewer = Viewer("--headless", "--window-size", f"{width}x{height}")
-        client = ViewerClient.connect(viewer.url)
-        loading = client.open(str(file.absolute())).loading
-        deadline = time.monotonic() + PATIENCE_S
-        while loading and time.monotonic() < deadline:
+    with tempfile.TemporaryFile() as errors:
+        try:
+            viewer = Viewer("--headless", "--window-size", f"{width}x{height}", errors=errors)
+            client = ViewerClient.connect(viewer.url)
             loading = client.open(str(file.absolute())).loading
-        client.run_command("ui.toggle_top_panel")  # which shows nothing about the recording
-        yield client
-    except (TssError, RuntimeError, AttributeError, ConnectionError) as error:
-        raise TssError(
-            f"the Rerun viewer did not draw: {error}; without a graphics card it needs a software "
-            "one (on Debian and Ubuntu: sudo apt install mesa-vulkan-drivers)"
-        ) from error
-    finally:
-        if viewer is not None:
-            viewer.close()
+            deadline = time.monotonic() + PATIENCE_S
+            while loading and time.monotonic() < deadline:
+                loading = client.open(str(file.absolute())).loading
+            client.run_command("ui.toggle_top_panel")  # which shows nothing about the recording
+            yield client
+        except (TssError, RuntimeError, AttributeError, ConnectionError) as error:
+            errors.seek(0)
+            panic = re.search(r"panicked at '(.*)'", errors.read().decode(errors="replace"))
+            raise TssError(
+                f"the Rerun viewer did not draw: {panic[1] if panic else error}; without a graphics"
+                " card it needs a software one (on Debian and Ubuntu: sudo apt install"
+                " mesa-vulkan-drivers)"
+            ) from error
+        finally:
+            if viewer is not None:
+                viewer.close()
 
 
 def connect(stream: rr.RecordingStream, url: str) -> None:

@@ -137,9 +137,7 @@ SIMULATOR = (
 )  # fmt: skip
 
 STABILITY = (
-    Parameter(
-        "scheduler", str, "Dask cluster to sweep on", default="", note="empty: this machine"
-    ),
+    Parameter("scheduler", str, "Dask cluster to sweep on", default="", note="empty: this machine"),
 )
 
 LOGGER = (

@@ -146,6 +146,7 @@ def _save_trajectories(recording, directory):
         recording.bead_name,
         recording.is_satellite,
         _law(recording),
+        recording.turns,
     ).savefig(directory / "trajectories.png")
 
 

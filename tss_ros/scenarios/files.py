@@ -40,8 +40,6 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         return super().construct_mapping(node, deep)
 
 
-
-
 def open_regular(path: str | Path, follow: bool = True) -> BinaryIO:
     """Open a file to be read, if it is a regular one; never wait for what is none.
 

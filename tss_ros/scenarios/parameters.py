@@ -183,9 +183,7 @@ SPIN_RATE_RATIO = Parameter(
 #: Parameters of a scenario.
 SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
 #: What of them a scenario has that spells out its bodies and tethers.
-GRAPH = tuple(
-    p for p in SCENARIO if p in LAWS or p.name in ("orbit_altitude_m", "spin_rate_ratio")
-)
+GRAPH = tuple(p for p in SCENARIO if p in LAWS or p.name in ("orbit_altitude_m", "spin_rate_ratio"))
 #: What a run needs besides its scenario.
 PUBLISH_PERIOD = Parameter(
     "publish_period_s", float, "Simulated time between steps", "s",

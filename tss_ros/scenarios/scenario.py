@@ -264,8 +264,10 @@ def _parse(name, content):
     if not isinstance(content, dict):
         raise TssError("the file must be a mapping of names to values")
     graph = "bodies" in content or "tethers" in content
-    known = (*_ABOUT, *_PARAMETERS) if not graph else (
-        "description", "bodies", "tethers", *_GRAPH_PARAMETERS
+    known = (
+        (*_ABOUT, *_PARAMETERS)
+        if not graph
+        else ("description", "bodies", "tethers", *_GRAPH_PARAMETERS)
     )
     for key in content:
         if key not in known:

@@ -23,7 +23,7 @@ from tss_interfaces.msg import Confirmation, FloquetResult
 from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
-from tss_ros.command_line import Parser
+from tss_ros.command_line import FIGURES, Parser
 from tss_ros.core import TssError, in_words
 from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
@@ -217,6 +217,7 @@ def figure(results: Sequence[FloquetResult], method: str) -> plots.Figure:
         [result.verdict for result in results],
         method or "monodromy",
         laws_in_words((result.tether_law, result.pushing_share) for result in results),
+        [result.deciding_modulus for result in results],
     )
 
 
@@ -326,16 +327,14 @@ def _parse(arguments):
         "--start", type=Path, metavar="FILE",
         help="the motion next to this one: position_m and velocity_m_s of each bead, YAML or JSON",
     )  # fmt: skip
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the results")
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw the results (png, pdf, ...)"
+    parser.add_output("--csv", (".csv",), metavar="FILE", help="write the results")
+    parser.add_output(
+        "--plot", FIGURES, metavar="FILE", help="draw the results (.png, .pdf or .svg)"
     )
-    parser.add_argument(
-        "--mode-shape",
-        type=Path,
-        metavar="FILE",
-        help="draw the mode that decided the verdict at the only rate (gif: moving; png, pdf, ...)",
-    )
+    parser.add_output(
+        "--mode-shape", (".gif", *FIGURES), metavar="FILE",
+        help="draw the mode that decided the verdict at the only rate (.gif: moving; or a figure)",
+    )  # fmt: skip
     parser.add_argument("--node", default="stability_node", help="default %(default)s")
     # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
     options = parser.parse_intermixed_args(

@@ -8,17 +8,13 @@ import sys
 import threading
 from collections.abc import Sequence
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.compute
-
-from tss_ros import plots
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, why_not_written
 from tss_ros.core import METHODS, TssError, in_words
-from tss_ros.core.stability.law_words import NEVER_PUSH, laws_in_words
+from tss_ros.core.stability.law_words import NEVER_PUSH
 from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import jobs, work
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
+from tss_ros.sweeps.pictures import draw, laws, points
 from tss_ros.sweeps.store import Store
 
 #: More rates than this are counted on the screen instead of being listed.
@@ -145,59 +141,12 @@ def _untold(row):
 
 def _counts(question, store):
     """How often there is which verdict and which cause."""
-    verdicts = _points(question, store, "verdict")["verdict"]
+    verdicts = points(question, store, "verdict")["verdict"]
     causes = store.table(CRITICAL_RATES, ["cause"])["cause"].drop_null()
     for values in (verdicts, causes):
         for count in sorted(values.value_counts().to_pylist(), key=lambda c: -c["counts"]):
             yield f"  {count['counts']:9}  {count['values']}"
-    yield f"  tether law {_laws(question, store)}"
-
-
-def _laws(question, store):
-    """The laws asked about, and how often taut tethers push in the motions computed."""
-    asked = [(system.tether_law, math.nan) for _, _, system in question.systems]
-    found = _points(question, store, "tether_law", "pushing_share")
-    motions = zip(found["tether_law"].to_pylist(), found["pushing_share"].to_pylist())
-    return laws_in_words([*asked, *motions])
-
-
-def _points(question, store, *columns):
-    """Multipliers that there are, by the motion's own method if it was asked for."""
-    found = store.table(MULTIPLIERS, [*columns, "method"]).drop_null()
-    return found.filter(pa.compute.field("method") == question.methods[0])
-
-
-def draw(question: Question, store: Store) -> plots.Figure:
-    """The map of verdicts and critical rates.
-
-    Parameters
-    ----------
-    question : Question
-    store : Store
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    named = question.varies_text or not question.parameter
-    place = np.array([i if named else v for i, (_, v, _) in enumerate(question.systems)])
-
-    def arrays(found, *columns):
-        jobs, *values = (found[column].to_numpy() for column in ("job", *columns))
-        return place[question.system_index(jobs)], *values
-
-    shown = ("spin_rate_ratio", "uncertainty", "cause")
-    return plots.stability_map(
-        question.parameter or "scenario",
-        arrays(
-            _points(question, store, "job", "spin_rate_ratio", "verdict"),
-            "spin_rate_ratio",
-            "verdict",
-        ),
-        arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
-        [name if v is None else f"{name} {v}" for name, v, _ in question.systems] if named else (),
-        _laws(question, store),
-    )
+    yield f"  tether law {laws(question, store)}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -276,6 +225,8 @@ def _parse(arguments):
     if options.confirm < 0 or options.confirm and not options.critical:
         parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
     work.check_options(parser, options)
+    if options.output and (why := why_not_written(options.output)):
+        parser.error(f"--output: {why}")
     options.methods = [method for method in METHODS if method in options.methods]
     if options.rates:
         options.rates = work.read_rates(parser, options.rates)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tss_ros import plots
-from tss_ros.command_line import Parser
+from tss_ros.command_line import FIGURES, Parser
 from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
 from tss_ros.scenarios import parameters, scenario
 from tss_ros.sweeps import families, software
@@ -208,10 +208,10 @@ def _parse(arguments):
     )  # fmt: skip
     parser.add_argument("--step", type=float, default=0.04, help="longest, over the value (0.04)")
     parser.add_argument("--points", type=int, default=2000, help="at most (2000)")
-    parser.add_argument(
-        "--output", type=Path, metavar="FILE", help="write the points and states (.parquet)"
+    parser.add_output(
+        "--output", (".parquet",), metavar="FILE", help="write the points and states (.parquet)"
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw them (png, pdf, ...)")
+    parser.add_output("--plot", FIGURES, metavar="FILE", help="draw them (.png, .pdf or .svg)")
     # argparse takes -1e-3 for an option, but not with a space in front, which float() ignores.
     options = parser.parse_args([f" {a}" if _is_negative(a) else a for a in arguments])
     if options.rate is not None and options.parameter == SPIN_RATE_RATIO:
@@ -220,8 +220,6 @@ def _parse(arguments):
         parser.error("--branch needs --start with a file that --output has written (.parquet)")
     if options.points < 1:
         parser.error(f"--points is {options.points}; allowed: 1 or more")
-    if options.output and options.output.suffix != ".parquet":
-        parser.error(f"--output is {str(options.output)!r}; allowed: a file that ends in .parquet")
     return options
 
 

@@ -21,6 +21,8 @@ import pyarrow.parquet
 
 from tss_ros.core import TssError
 
+#: File of a folder that tells what is asked, done and failed.
+MANIFEST = "manifest.sqlite"
 #: Jobs whose results share a file.
 BLOCK = 10_000
 #: Results go to Parquet after so many seconds, or so many jobs.
@@ -74,7 +76,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, question: Asked) -> None:
-        self._folder, self._manifest = folder, folder / "manifest.sqlite"
+        self._folder, self._manifest = folder, folder / MANIFEST
         self._name = question.name
         self._schemas = {
             name: pa.schema([(column, TYPES[kind]) for column, kind in columns.items()])

@@ -95,7 +95,10 @@ def ring_units(system: System) -> int:
     if not np.array_equal(system.tether_ends, np.stack([np.arange(n), np.arange(1, n + 1) % n], 1)):
         return 0
     for values in (
-        system.is_satellite, system.mass_kg, system.rest_length_m, system.axial_stiffness_n,
+        system.is_satellite,
+        system.mass_kg,
+        system.rest_length_m,
+        system.axial_stiffness_n,
         system.damping_n_s_per_m,
     ):
         if not np.array_equal(values, np.roll(values, n // units)):

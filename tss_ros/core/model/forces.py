@@ -206,9 +206,7 @@ def tether_state(
     return length, np.where(taut | system.bilateral, pull, 0.0), taut
 
 
-def acting_tethers(
-    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
-) -> np.ndarray:
+def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
     """Which tethers exert a force, the switch s of Eq. (5); shapes as `tether_state`, bool."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     acts = (length > system.rest_length_m) | system.bilateral
@@ -224,9 +222,7 @@ def elastic_energy(
     """Elastic energy [J] of all taut tethers together; shapes as `tether_state`, result (...)."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)
-    energy = energy_of_arrays(
-        arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping
-    )
+    energy = energy_of_arrays(arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping)
     return np.sum(np.where((length > arrays.rest) | system.bilateral, energy, 0.0), axis=-1)
 
 

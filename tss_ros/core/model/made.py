@@ -109,9 +109,7 @@ def _tether_function(name, outputs, mathematics, decorate):
         made = function_of(own, _TETHER_VALUE, _tether_inputs(), expressions, mathematics)
         functions[own] = decorate(made)
         lines.append([f"result = {own}({_TETHER_VALUE})"])
-    return decorate(
-        _choice(name, _TETHER_VALUE, lines, "arrays.tension == {}", functions)
-    )
+    return decorate(_choice(name, _TETHER_VALUE, lines, "arrays.tension == {}", functions))
 
 
 _WITH_SLOPE = [(t, derivative(t, _STRETCHED.length)) for t in TENSIONS]
@@ -122,9 +120,7 @@ tension_and_slope = _tether_function("tension_and_slope", _WITH_SLOPE, _SCALARS,
 tension_and_slope_of_arrays = _tether_function(
     "tension_and_slope_of_arrays", _WITH_SLOPE, _ARRAYS, lambda function: function
 )
-_ENERGIES = {
-    TENSION_INDEX[law.name]: law.energy(_STRETCHED, **_own(law)) for law in TETHER_LAWS
-}
+_ENERGIES = {TENSION_INDEX[law.name]: law.energy(_STRETCHED, **_own(law)) for law in TETHER_LAWS}
 #: Elastic energy [J] of taut tethers, for numpy arrays.
 energy_of_arrays = _tether_function(
     "energy_of_arrays", [(_ENERGIES[i],) for i in range(len(TENSIONS))], _ARRAYS,
@@ -214,9 +210,7 @@ def _jacobian(law):
 
 
 #: Acceleration [m/s^2] of a bead by all acting laws.
-bead_acceleration = _of_all_laws(
-    "bead_acceleration", _BEAD_VALUE, _acceleration, zero="0.0"
-)
+bead_acceleration = _of_all_laws("bead_acceleration", _BEAD_VALUE, _acceleration, zero="0.0")
 #: Adds its derivatives by position and velocity to matrices (3, 3).
 bead_jacobian = _of_all_laws("bead_jacobian", f"{_BEAD_VALUE}, by_r, by_v", _jacobian)
 

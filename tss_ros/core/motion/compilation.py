@@ -126,9 +126,7 @@ def implicit_steps(
 ) -> None:
     """Compile the implicit steps for arguments of these types."""
     room = _room(step.implicit_room, arrays, symbolic, tables)
-    step.implicit_step.compile(
-        (arrays, symbolic, tables, settings, motion, room, float64, boolean)
-    )
+    step.implicit_step.compile((arrays, symbolic, tables, settings, motion, room, float64, boolean))
 
 
 class Progress(event.Listener):

@@ -154,8 +154,14 @@ class Integrator:
             raise TssError("positions, velocities and the time must be finite")
         motion = self.begin(State(states[0, 1], states[0, 0]))
         k, status = integrate.advance_each(
-            self.arrays, self.symbolic, self.tables, self.settings, motion,
-            (float(stop), 2**62, MOST_SWITCHES_PER_TURN), FIRST_STEP * self.turn_s, states,
+            self.arrays,
+            self.symbolic,
+            self.tables,
+            self.settings,
+            motion,
+            (float(stop), 2**62, MOST_SWITCHES_PER_TURN),
+            FIRST_STEP * self.turn_s,
+            states,
         )
         _check(status, motion, f"motion {k}")
         return Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
@@ -191,8 +197,13 @@ class Integrator:
         if samples is None:
             samples = self._no_samples
         status = integrate.advance(
-            self.arrays, self.symbolic, self.tables, self.settings, motion,
-            (float(stop), steps, MOST_SWITCHES_PER_TURN), samples,
+            self.arrays,
+            self.symbolic,
+            self.tables,
+            self.settings,
+            motion,
+            (float(stop), steps, MOST_SWITCHES_PER_TURN),
+            samples,
         )
         _check(status, motion, "the motion")
         return status == integrate.REACHED

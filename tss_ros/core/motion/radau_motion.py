@@ -226,7 +226,9 @@ def _stage_residuals(arrays, tables, step, newton):
     """How far the increments are from the collocation equations, at every stage."""
     for g in range(newton.dv.shape[0]):
         v, r, residual = (
-            in_lanes(newton.v, g), in_lanes(newton.r, g), in_lanes(newton.residual, g)
+            in_lanes(newton.v, g),
+            in_lanes(newton.r, g),
+            in_lanes(newton.residual, g),
         )
         times = step.time + step.size * load(tables.nodes, WIDTH * g)
         acceleration(arrays, step.taut, times, v, r, residual)

@@ -260,9 +260,7 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
             return REJECTED, h, -1
         step = ImplicitStep(at.time, h, motion.taut, motion.v, motion.r, room.dv, room.dr)
     if motion.x_v.shape[2] > 0:
-        error = vary(
-            arrays, symbolic, tables, settings, step, newton, motion.x_v, motion.x_r
-        )
+        error = vary(arrays, symbolic, tables, settings, step, newton, motion.x_v, motion.x_r)
         scaled = step_control.growth_allowed(settings, s, error)
         if not error <= settings.tolerance:
             step_control.error_too_large(at, h, error, scaled)
@@ -280,7 +278,12 @@ def implicit_step(arrays, symbolic, tables, settings, motion, room, stop, follow
 def _advance(motion, step, stages):
     """Move on to the end of a step, and keep how it went."""
     v, r, start_v, start_r, dv, dr = (
-        motion.v, motion.r, motion.start_v, motion.start_r, motion.dv, motion.dr
+        motion.v,
+        motion.r,
+        motion.start_v,
+        motion.start_r,
+        motion.dv,
+        motion.dr,
     )
     for i in range(r.shape[0]):
         for q in range(3):

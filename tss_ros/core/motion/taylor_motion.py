@@ -190,9 +190,7 @@ def _beads(arrays, series, block, k, weight):
     """Write what the laws of beads and inertia do to coefficient k + 2 of r."""
     size = series.r.shape[1]
     now, at = 3 * WIDTH * (block * size + k), WIDTH * BEAD_SLOTS * size * block
-    gx, gy, gz = bead_series(
-        arrays, series.r, 3 * WIDTH * size * block, series.beads, at, k
-    )
+    gx, gy, gz = bead_series(arrays, series.r, 3 * WIDTH * size * block, series.beads, at, k)
     x, y, _ = load3(series.r, now)
     vx, vy, _ = load3(series.r, now + 3 * WIDTH)
     fx, fy = inertia(x, y, vx, vy, 0.0, 2.0 * arrays.rate * (k + 1), arrays.drive)
@@ -247,9 +245,7 @@ def _tethers(arrays, series, block, k):
         series.tethers, WIDTH * TETHER_SLOTS * size * block, k,
     )  # fmt: skip
     taut = load(series.tether, row + TAUT)
-    store3(
-        series.tether, row + PULL, only_where(taut, x), only_where(taut, y), only_where(taut, z)
-    )
+    store3(series.tether, row + PULL, only_where(taut, x), only_where(taut, y), only_where(taut, z))
 
 
 @kernel

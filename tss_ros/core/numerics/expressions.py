@@ -288,9 +288,7 @@ def substitute(expression: Expression, values: Mapping[Symbol, Any]) -> Expressi
 def distributed(expression: Expression) -> Expression:
     """The expression with products of sums written as sums of products, so that terms cancel."""
     if isinstance(expression, Sum):
-        return add(
-            expression.number, *(multiply(f, distributed(t)) for t, f in expression.terms)
-        )
+        return add(expression.number, *(multiply(f, distributed(t)) for t, f in expression.terms))
     if not isinstance(expression, Product):
         return expression
     terms = [add(1.0)]

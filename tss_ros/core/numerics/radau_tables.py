@@ -83,8 +83,10 @@ def radau(stages: int) -> Tables:
     gauss, weight = np.polynomial.legendre.leggauss(stages)
     at_nodes = legendre.legvander(2.0 * c - 1.0, stages - 1)
     points = 0.5 * c[:, None] * (gauss + 1.0)
-    integrals = 0.5 * c[:, None] * np.einsum(
-        "g,igk->ik", weight, legendre.legvander(2.0 * points - 1.0, stages - 1)
+    integrals = (
+        0.5
+        * c[:, None]
+        * np.einsum("g,igk->ik", weight, legendre.legvander(2.0 * points - 1.0, stages - 1))
     )
     a = np.linalg.solve(at_nodes.T, integrals.T).T
     a_inverse = np.linalg.inv(a)

@@ -93,8 +93,12 @@ def rate_equations(
     ClosingEquations
     """
     return ClosingEquations(
-        lambda ratio: (system, system.spin_rate_rad_s(ratio)), size_of(system),
-        stays_in_plane(system, state), symmetry or cyclic_symmetry(system), RTOL, cancelled,
+        lambda ratio: (system, system.spin_rate_rad_s(ratio)),
+        size_of(system),
+        stays_in_plane(system, state),
+        symmetry or cyclic_symmetry(system),
+        RTOL,
+        cancelled,
     )
 
 
@@ -262,9 +266,7 @@ def _between(equations, a, b, guess):
             continue
         if solution.residual <= CLOSED and np.linalg.norm((solution.y - y)[:-3]) <= near:
             return solution
-    raise Ended(
-        f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}"
-    )
+    raise Ended(f"no motion was found between those at {a.parameter:.6g} and {b.parameter:.6g}")
 
 
 def _interpolated(a, b, ratio):
@@ -299,9 +301,7 @@ _FAMILIES: OrderedDict = OrderedDict()
 _LOCK = threading.Lock()
 
 
-def own_motion(
-    system: System, ratio: float, cancelled: Callable[[], bool] | None = None
-) -> Closed:
+def own_motion(system: System, ratio: float, cancelled: Callable[[], bool] | None = None) -> Closed:
     """The motion of a formation's own family at a spin rate.
 
     Parameters

@@ -279,7 +279,11 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
     if found.radius > SMALLEST_DRIFT:
         words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
     return _result(
-        "monodromy", integrator, (found.multiplier, found.vectors), found.family, found.judgement,
+        "monodromy",
+        integrator,
+        (found.multiplier, found.vectors),
+        found.family,
+        found.judgement,
         closure_residual=left,
         initial_closure_residual=missed_by if corrected else left,
         spin_loss=loss,
@@ -316,7 +320,12 @@ def _leading(integrator, initial, count, correct, cancelled):
     words = _origin(initial, initial_closure if correct else None)
     words += f"; {np.count_nonzero(found)} of {count} leading multipliers found in {turns} turns"
     return _result(
-        "monodromy", integrator, (multiplier, vectors), family, judgement, residual,
+        "monodromy",
+        integrator,
+        (multiplier, vectors),
+        family,
+        judgement,
+        residual,
         closure_residual=closed_by,
         initial_closure_residual=initial_closure,
         spin_loss=0.0,
@@ -340,7 +349,11 @@ def _frozen(integrator, state, cancelled):
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator, state, multiplier, vectors)
     return _result(
-        "frozen", integrator, (multiplier, vectors), family, judge_frozen(multiplier, family),
+        "frozen",
+        integrator,
+        (multiplier, vectors),
+        family,
+        judge_frozen(multiplier, family),
         closure_residual=missed.residual,
         spin_loss=0.0,
         initial_closure_residual=missed.residual,

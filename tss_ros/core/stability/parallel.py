@@ -44,7 +44,11 @@ class FloquetJob:
     def run(self, cancelled: Callable[[], bool] | None = None) -> FloquetResult:
         """`compute_floquet` of this job."""
         return compute_floquet(
-            self.system, self.spin_rate_ratio, self.method, self.state, certify=False,
+            self.system,
+            self.spin_rate_ratio,
+            self.method,
+            self.state,
+            certify=False,
             cancelled=cancelled,
         )
 
@@ -61,7 +65,10 @@ class CriticalRatesJob:
     def run(self, cancelled: Callable[[], bool] | None = None) -> list[CriticalRate]:
         """`find_critical_rates` of this job."""
         return find_critical_rates(
-            self.system, self.spin_rate_ratio_from, self.spin_rate_ratio_to, self.tolerance,
+            self.system,
+            self.spin_rate_ratio_from,
+            self.spin_rate_ratio_to,
+            self.tolerance,
             cancelled=cancelled,
         )
 
@@ -82,9 +89,15 @@ class FamilyJob:
     def run(self, cancelled: Callable[[], bool] | None = None) -> Family:
         """`follow` of this job."""
         return follow(
-            self.system, self.parameter, self.start, self.stop,
-            spin_rate_ratio=self.spin_rate_ratio, state=self.state,
-            longest_step=self.longest_step, most_points=self.most_points, cancelled=cancelled,
+            self.system,
+            self.parameter,
+            self.start,
+            self.stop,
+            spin_rate_ratio=self.spin_rate_ratio,
+            state=self.state,
+            longest_step=self.longest_step,
+            most_points=self.most_points,
+            cancelled=cancelled,
         )
 
 
@@ -108,8 +121,13 @@ class ConfirmationJob:
         result = compute_floquet(self.system, self.spin_rate_ratio, cancelled=cancelled)
         try:
             return result, confirm(
-                self.system, self.spin_rate_ratio, result.state if result.family else None,
-                self.disturbance_m, self.seed, self.turns, cancelled,
+                self.system,
+                self.spin_rate_ratio,
+                result.state if result.family else None,
+                self.disturbance_m,
+                self.seed,
+                self.turns,
+                cancelled,
             )
         except NoSteadyState:
             return result, None

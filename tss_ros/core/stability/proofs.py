@@ -58,7 +58,9 @@ def convergence_error(
     """
     integrator = turn.integrator
     finer = Integrator(
-        integrator.system, integrator.arrays.spin, max(0.01 * integrator.rtol, 1e-12),
+        integrator.system,
+        integrator.arrays.spin,
+        max(0.01 * integrator.rtol, 1e-12),
         integrator.settings.length,
     )
     finer.arrays = finer.arrays._replace(drive=integrator.arrays.drive)

@@ -1,0 +1,171 @@
+"""Pages hold all that they need, and their charts show what is in bags and sweeps."""
+
+import json
+import re
+from base64 import b64decode
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from tss_ros.bags.recording import read_bag
+from tss_ros.command_line import why_not_written
+from tss_ros.pages import bag, html, page
+from tss_ros.simulator import straight
+from tss_ros.sweeps import command
+
+
+class Page(HTMLParser):
+    """A page taken apart: places it loads from, ids, and the cells of its tables by row."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.loads, self.ids, self.rows, self.text = [], [], [], path.read_text(encoding="utf-8")
+        self._cell = None
+        self.feed(self.text)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        if tag in ("script", "img", "link", "iframe"):
+            self.loads += [attributes[name] for name in ("src", "href") if name in attributes]
+        if "id" in attributes:
+            self.ids.append(attributes["id"])
+        if tag == "tr":
+            self.rows.append([])
+        self._cell = "" if tag in ("td", "th") else self._cell
+
+    def handle_data(self, data):
+        if self._cell is not None:
+            self._cell += data
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self.rows[-1].append(self._cell)
+            self._cell = None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a bag of two turns and a sweep of one scenario."""
+    folder = tmp_path_factory.mktemp("pages")
+    words = ["three_star", "--turns", "2", "--disturbance-m", "10", "--output", str(folder / "bag")]
+    assert straight.main(words) == 0
+    words = ["--rates", "-2.5", "-2.2", "2", "--critical", "-2.18", "-2.16", "--methods"]
+    assert command.main([*words, "monodromy", "--output", str(folder / "sweep")]) == 0
+    return folder
+
+
+def test_a_page_of_a_bag_needs_nothing_else_and_shows_the_motion(folder, tmp_path, capsys):
+    path = tmp_path / "bag.html"
+    assert page.main([str(folder / "bag"), "--output", str(path)]) == 0
+    assert capsys.readouterr().out == f"{path}\n"
+    made, recording = Page(path), read_bag(folder / "bag")
+    assert made.loads == []
+    charts = {"shape", "drift", "lengths", "tensions", "orbit_frame", "turning_frame", "centre"}
+    assert charts | {"energy"} == set(made.ids)
+    facts = dict(row for row in made.rows if len(row) == 2)
+    assert facts["steps"].startswith(f"{len(recording.step)}, 0 to")
+    assert facts["tether law"].startswith("kelvin_voigt")
+
+
+def test_paths_in_the_turning_frame_stand_still_where_the_shape_holds(folder):
+    recording = read_bag(folder / "bag")
+    (drawn,) = [part for part in bag._paths(recording) if 'id="turning_frame"' in part]
+    text = re.search(r'Plotly\.newPlot\(\s*"turning_frame",\s*(\[.*?\]),\s*\{"', drawn, re.S)[1]
+    paths = {curve["name"]: curve for curve in json.loads(text)}  # their last turns
+    for name in recording.bead_name:
+        x, y = (np.frombuffer(b64decode(paths[name][axis]["bdata"])) for axis in "xy")
+        np.testing.assert_allclose(np.hypot(x, y), 5.77, atol=0.02)
+        assert np.ptp(x) < 0.1 and np.ptp(y) < 0.1
+
+
+def test_a_page_of_a_sweep_has_verdicts_and_critical_rates_with_their_cause(folder, tmp_path):
+    path = tmp_path / "sweep.html"
+    assert page.main([str(folder / "sweep"), "--output", str(path)]) == 0
+    made = Page(path)
+    assert made.loads == [] and made.ids == ["moduli"]
+    (stable,) = [row for row in made.rows if "-2.5" in row]
+    assert "asymptotically stable" in stable
+    assert any(cell.startswith("shape 0.000") for cell in stable)
+    (critical,) = [row for row in made.rows if "first slack" in row]
+    assert critical[1].startswith("-2.17")
+    assert "below" in critical
+
+
+def test_a_page_that_exists_is_not_replaced_unless_told_so(folder, tmp_path, capsys):
+    path = tmp_path / "bag.html"
+    path.write_text("mine")
+    with pytest.raises(SystemExit) as ended:
+        page.main([str(folder / "bag"), "--output", str(path)])
+    assert ended.value.code == 2 and path.read_text() == "mine"
+    assert "exists already; give another name, or --overwrite" in capsys.readouterr().err
+    assert page.main([str(folder / "bag"), "--output", str(path), "--overwrite"]) == 0
+    assert path.read_text().startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize(
+    ("name", "endings", "words"),
+    [
+        ("x.bmpp", (".png", ".svg"), "has no known ending; allowed: .png, .svg"),
+        ("missing/x.png", (".png",), "there is no folder"),
+        ("there.png", (".png",), "exists already"),
+        ("folder.png", (".png",), "is a folder"),
+        ("there.png", (), "is no folder"),
+        ("there.png/deeper", (), "is no folder"),
+        ("new/deeper", (), ""),
+        ("X.PNG", (".png",), ""),
+    ],
+)
+def test_outputs_are_refused_for_a_reason_that_is_said(tmp_path, name, endings, words):
+    (tmp_path / "there.png").write_text("mine")
+    (tmp_path / "folder.png").mkdir()
+    why = why_not_written(tmp_path / name, endings)
+    assert words in why and bool(why) == bool(words)
+
+
+def test_what_stands_for_many_points_keeps_every_extreme_and_every_gap():
+    rng = np.random.default_rng(5)
+    x, y = np.arange(100_000.0), rng.normal(size=100_000)
+    y[[12_345, 77_777]] = 50.0, -60.0
+    y[40_000:40_100] = np.nan
+    kept_x, kept_y, per_part = html.envelope(x, y, 2000)
+    assert len(kept_x) <= 2000 * 1.5 and per_part == 100
+    assert np.all(np.diff(kept_x) > 0)
+    np.testing.assert_array_equal(kept_y, y[kept_x.astype(int)])
+    assert (np.nanmax(kept_y), np.nanmin(kept_y)) == (50.0, -60.0)
+    assert np.isnan(kept_y).sum() == 1
+    for first in range(0, 40_000, 100):
+        part = kept_y[(kept_x >= first) & (kept_x < first + 100)]
+        assert (part.min(), part.max()) == (
+            y[first : first + 100].min(),
+            y[first : first + 100].max(),
+        )
+
+
+def test_many_curves_are_cut_to_those_that_swing_the_most_and_it_is_said():
+    turns, sizes = np.linspace(0, 1, 11), np.arange(100)
+    drawn = html.figure("", "", "")
+    said = html.curves(drawn, turns, np.sin(7 * turns)[:, None] * sizes, [str(i) for i in sizes])
+    assert said == "The 40 of 100 curves that swing the most."
+    assert [curve.name for curve in drawn.data] == [str(i) for i in range(60, 100)]
+
+
+def test_moduli_of_what_is_no_motion_are_not_drawn():
+    rows = [
+        {"spin_rate_ratio": rate, "max_modulus": top, "deciding_modulus": own, "verdict": verdict}
+        for rate, top, own, verdict in (
+            (-2.5, 1.1, 0.1, "asymptotically stable"), (-2.0, 9.0, np.nan, "none found"),
+            (-1.5, 8.0, np.nan, None),
+        )
+    ]  # fmt: skip
+    drawn = bag.moduli(rows, [(-2.2, "first slack")])
+    curves = {curve.name: curve for curve in drawn.data}
+    np.testing.assert_array_equal(curves["largest of all"].y, [1.1, np.nan, np.nan])
+    assert list(curves["asymptotically stable"].y) == [0.1]
+    assert list(curves["none found"].x) == [-2.0]
+    np.testing.assert_array_equal(curves["what decided"].y, [0.1, np.nan, np.nan, np.nan])
+    assert drawn.layout.annotations[0].text == "first slack"
+
+
+def test_words_from_a_bag_are_no_markup():
+    assert "<script>alert" not in html.table(["<b>"], [["<script>alert(1)</script>"]])

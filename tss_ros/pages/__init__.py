@@ -1,0 +1,1 @@
+"""Pages of interactive charts that sum up bags and sweeps. No ROS needed."""

@@ -1,0 +1,74 @@
+"""The picture of a sweep: a map of verdicts, or curves where there is one system."""
+
+import math
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+
+from tss_ros import plots
+from tss_ros.core.stability.law_words import laws_in_words
+from tss_ros.sweeps.jobs import CRITICAL_RATES, MULTIPLIERS, Question
+from tss_ros.sweeps.store import Store
+
+
+def laws(question: Question, store: Store) -> str:
+    """The laws asked about, and how often taut tethers push in the motions computed."""
+    asked = [(system.tether_law, math.nan) for _, _, system in question.systems]
+    found = points(question, store, "tether_law", "pushing_share")
+    motions = zip(found["tether_law"].to_pylist(), found["pushing_share"].to_pylist())
+    return laws_in_words([*asked, *motions])
+
+
+def points(question: Question, store: Store, *columns: str) -> pa.Table:
+    """Multipliers that there are, by the motion's own method if it was asked for."""
+    found = store.table(MULTIPLIERS, [*columns, "method"]).drop_null()
+    return found.filter(pa.compute.field("method") == question.methods[0])
+
+
+def _draw_curves(question, store):
+    """Multipliers of one system against the spin rate, with its critical rates."""
+    names = ["spin_rate_ratio", "max_modulus", "max_modulus_nontrivial", "verdict"]
+    rows = [r for r in store.table(MULTIPLIERS).to_pylist() if r["method"] == question.methods[0]]
+    critical = store.table(CRITICAL_RATES, ["spin_rate_ratio", "cause"]).drop_null().to_pylist()
+    law = laws(question, store)
+    return plots.stability(
+        *([row[name] for row in rows] for name in names), question.methods[0], law,
+        [row["deciding_modulus"] for row in rows],
+        [(row["spin_rate_ratio"], row["cause"]) for row in critical],
+    )  # fmt: skip
+
+
+def draw(question: Question, store: Store) -> plots.Figure:
+    """The map of verdicts and critical rates; of one system, curves of its multipliers.
+
+    Parameters
+    ----------
+    question : Question
+    store : Store
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    if len(question.systems) == 1 and question.ratios:
+        return _draw_curves(question, store)
+    named = question.varies_text or not question.parameter
+    place = np.array([i if named else v for i, (_, v, _) in enumerate(question.systems)])
+
+    def arrays(found, *columns):
+        jobs, *values = (found[column].to_numpy() for column in ("job", *columns))
+        return place[question.system_index(jobs)], *values
+
+    shown = ("spin_rate_ratio", "uncertainty", "cause")
+    return plots.stability_map(
+        question.parameter or "scenario",
+        arrays(
+            points(question, store, "job", "spin_rate_ratio", "verdict"),
+            "spin_rate_ratio",
+            "verdict",
+        ),
+        arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
+        [name if v is None else f"{name} {v}" for name, v, _ in question.systems] if named else (),
+        laws(question, store),
+    )
