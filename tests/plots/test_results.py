@@ -57,8 +57,8 @@ def test_no_curve_goes_through_rates_without_motions_and_they_are_grey(results):
     assert np.isfinite(moduli[rates < -2.05]).all() and not np.isfinite(moduli[rates > -2.0]).any()
     assert drawn["critical: first slack"][:, 0].tolist() == [-2.171, -2.171]
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {"critical: first slack", "asymptotically stable", "none found"} <= set(labels)
-    found = {float(rate) for rate in drawn["none found"][:, 0]}
+    assert {"critical: first slack", "asymptotically stable", "no motion found"} <= set(labels)
+    found = {float(rate) for rate in drawn["no motion found"][:, 0]}
     assert found == {r.spin_rate_ratio for r in results if r.verdict == "none found"}
 
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from tss_ros.core import TssError
 from tss_ros.messages.cdr import Layout, serialised
-from tss_ros.messages.steps import STATE_TOPICS
-from tss_ros.messages.topics import read_topics
+from tss_ros.messages.topics import STATE_TOPICS, read_topics
 
 #: The topic, and about how many bytes of messages one block has at most: larger messages do not go
 #: through the shared memory of the middleware.

@@ -12,13 +12,12 @@ import numpy as np
 from tss_ros import core
 from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.messages.cdr import Layout, serialised
+from tss_ros.messages.topics import STATE_TOPICS as STATE_TOPICS
 from tss_ros.messages.topics import read_topics
 from tss_ros.scenarios.scenario import read_text
 
 #: Name of the orbit frame.
 FRAME_ID = "orbit"
-#: What a step consists of. A recorder that has got the last of them has got the whole step.
-STATE_TOPICS = ("tether_states", "markers", "bead_cloud", "tether_lengths", "bead_states")
 #: Fields of the bead cloud, all float32.
 CLOUD_FIELDS = ("x", "y", "z", "deviation", "speed_m_s")
 #: PointField.FLOAT32; Marker.LINE_LIST, SPHERE_LIST and DELETEALL.

@@ -13,6 +13,8 @@ from tss_ros.messages import types
 
 #: rosbag2's way to write "no limit" for deadlines, lifespans and leases.
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+#: What a step consists of. A recorder that has got the last of them has got the whole step.
+STATE_TOPICS = ("tether_states", "markers", "bead_cloud", "tether_lengths", "bead_states")
 _PLACE = "msg_configs/recording.yaml"
 
 

@@ -18,7 +18,7 @@ from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
 from tss_ros.messages import blocks
 from tss_ros.messages.cdr import step_number
-from tss_ros.messages.steps import STATE_TOPICS
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.recorder.recorded_topic import RecordedTopic
 from tss_ros.recorder.run_order import RunOrder
 from tss_ros.recorder.simulators import Simulators, is_told

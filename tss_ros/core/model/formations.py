@@ -82,15 +82,8 @@ def assemble(
     TssError
         If the graph or a value is not physical.
     """
-    for name, parts, kind in (("satellites", satellites, Satellite), ("tethers", tethers, Tether)):
-        if not isinstance(parts, Sequence) or not all(isinstance(part, kind) for part in parts):
-            words = f"{name} must be a sequence of {kind.__name__}s"
-            raise TssError(f"{words}, got {type(parts).__name__} {parts!r:.80}")
+    _check(satellites, tethers)
     count = len(satellites)
-    for tether in tethers:
-        for end in tether.ends:
-            if not 0 <= end < count:
-                raise TssError(f"tether {tether.name!r} joins satellite {end}, which is not there")
     cyclic = [t.ends for t in tethers] == [(i, (i + 1) % count) for i in range(count)]
     names, is_satellite, masses, places = [], [], [], []
 
@@ -134,6 +127,18 @@ def assemble(
         tether_law,
         law_parameters,
     )
+
+
+def _check(satellites, tethers):
+    """Raise TssError unless these are satellites, and tethers that join them."""
+    for name, parts, kind in (("satellites", satellites, Satellite), ("tethers", tethers, Tether)):
+        if not isinstance(parts, Sequence) or not all(isinstance(part, kind) for part in parts):
+            words = f"{name} must be a sequence of {kind.__name__}s"
+            raise TssError(f"{words}, got {type(parts).__name__} {parts!r:.80}")
+    for tether in tethers:
+        for end in tether.ends:
+            if not 0 <= end < len(satellites):
+                raise TssError(f"tether {tether.name!r} joins satellite {end}, which is not there")
 
 
 def _segments(tethers, place_of, inner):

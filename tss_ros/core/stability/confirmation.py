@@ -82,7 +82,7 @@ class DisturbedMotion:
 
 
 @dataclass(frozen=True, repr=False)
-class Confirmation(DisturbedMotion, Presented, Stored):
+class Confirmation(Presented, Stored, DisturbedMotion):
     """What became of a disturbed formation, and how a very small disturbance grows.
 
     Attributes
