@@ -33,6 +33,7 @@ def test_a_law_that_is_edited_is_compiled_anew_wherever_it_is_inlined(tmp_path):
         ignore=shutil.ignore_patterns("__pycache__", "*.nb[ic]"),
     )  # fmt: skip
     (package / "__init__.py").touch()
+    shutil.copy(Path(tss_ros.core.__file__).parents[1] / "extras.py", package)
     surroundings = {
         **os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")
     }  # fmt: skip
