@@ -181,7 +181,7 @@ def test_curves_of_multipliers_end_where_motions_do_and_say_where_stability_ends
     assert axes.get_xlim()[0] < -3.0 and axes.get_xlim()[1] > -1.5
     assert len(axes.get_xticks()) > 4
     assert "between -2.5 and -2" in figure.get_suptitle()
-    (band,) = [patch for patch in axes.patches if patch.get_label() == "the critical rate is here"]
+    (band,) = [patch for patch in axes.patches if patch.get_label() == "the verdict changes here"]
     assert (band.get_x(), band.get_width()) == (-2.5, 0.5)
 
 

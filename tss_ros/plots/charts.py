@@ -191,7 +191,7 @@ def _mark_critical(axes, rate, verdict, critical):
             )  # fmt: skip
     if not causes:
         for j, (first, last) in enumerate(_changes(rate, verdict)):
-            label = None if j else "the critical rate is here"
+            label = None if j else "the verdict changes here"
             axes.axvspan(first, last, color="#E69F00", alpha=0.2, linewidth=0, label=label)
 
 
