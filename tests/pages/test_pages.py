@@ -11,7 +11,7 @@ import pytest
 from tss_ros.bags.recording import read_bag
 from tss_ros.command_line import why_not_written
 from tss_ros.pages import bag, html, page
-from tss_ros.simulator import straight
+from tss_ros.simulator import ensemble, straight
 from tss_ros.sweeps import command
 
 
@@ -90,6 +90,17 @@ def test_a_page_of_a_sweep_has_verdicts_and_critical_rates_with_their_cause(fold
     (critical,) = [row for row in made.rows if "first slack" in row]
     assert critical[1].startswith("-2.17")
     assert "below" in critical
+
+
+def test_a_page_of_an_ensemble_says_how_probably_the_formation_holds(tmp_path):
+    words = ["three_star", "--rates", "-2.5", "-2.1", "2", "--pushes", "300"]
+    words += ["--seeds", "0", "4", "--turns", "6", "--output"]
+    assert ensemble.main([*words, str(tmp_path / "pushed")]) == 0
+    assert page.main([str(tmp_path / "pushed"), "--output", str(tmp_path / "page.html")]) == 0
+    made = Page(tmp_path / "page.html")
+    assert made.loads == [] and made.ids == ["held"]
+    (holds,) = [row for row in made.rows if row[:2] == ["-2.5", "300"]]
+    assert holds[2:5] == ["5", "0", "0"] and holds[5] == "56.55% to 100.00%"
 
 
 def test_a_page_that_exists_is_not_replaced_unless_told_so(folder, tmp_path, capsys):

@@ -45,7 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if (options.source / MANIFEST).is_file():
             if options.run is not None:
                 raise TssError(f"{str(options.source)!r} is a sweep; --run is for bags")
-            text = html.document(f"Sweep {name}", sweep.parts(options.source))
+            kind = "Ensemble" if (options.source / sweep.MOTIONS).is_dir() else "Sweep"
+            text = html.document(f"{kind} {name}", sweep.parts(options.source))
         else:
             show_progress("reading")
             recording = read_bag(options.source, options.run, damaged=True)

@@ -13,11 +13,11 @@ import pyarrow.parquet
 from tss_ros.core import TssError, in_words
 from tss_ros.pages import html
 from tss_ros.pages.bag import moduli
+from tss_ros.sweeps.ensemble import MOTIONS, probabilities
 from tss_ros.sweeps.jobs import CRITICAL_RATES, FAMILIES, MULTIPLIERS, SIMULATIONS, SPECIAL_POINTS
 from tss_ros.sweeps.store import MANIFEST
 
 #: The table of an ensemble.
-MOTIONS = "motions"
 RATE = "spin rate over orbital rate, ω/Ω [-]"
 #: What of a question is no fact for readers.
 HIDDEN = ("scenario ", "version of ")
@@ -130,9 +130,9 @@ def _charts(tables, parameter):
     if family := _rows(tables.get(FAMILIES), "parameter"):
         yield html.heading("Families")
         yield html.chart(_families(family, parameter), "families")
-    if motions := _rows(tables.get(MOTIONS), "spin_rate_ratio"):
+    if MOTIONS in tables:
         yield html.heading("How probably the formation holds")
-        yield from _probabilities(motions)
+        yield from _probabilities(tables[MOTIONS])
 
 
 def _rows(table, needed):
@@ -202,30 +202,36 @@ def _families(rows, parameter):
     return drawn
 
 
-def _probabilities(rows):
-    """Shares of disturbed motions that held, push by push."""
-    pushes, counts = {}, []
-    for row in rows:
-        pushes.setdefault(row.get("disturbance_m"), {}).setdefault(
-            row["spin_rate_ratio"], []
-        ).append(row.get("held"))
+def _probabilities(motions):
+    """How probably disturbed motions hold, push by push, with intervals of confidence."""
+    order = [("spin_rate_ratio", "ascending"), ("disturbance_m", "ascending")]
+    found = probabilities(motions.sort_by(order))
     drawn = html.figure("Share of disturbed motions that held", RATE, "share held [-]", 430)
-    for i, (push, by_rate) in enumerate(sorted(pushes.items())):
-        rates = sorted(by_rate)
-        told = {rate: [held for held in by_rate[rate] if held is not None] for rate in rates}
-        shares = [np.mean(told[rate]) if told[rate] else np.nan for rate in rates]
-        text = [f"{sum(told[rate])} of {len(told[rate])} held" for rate in rates]
+    for i, push in enumerate(sorted({point.disturbance_m for point in found})):
+        points = [point for point in found if point.disturbance_m == push]
+        share = [point.probability for point in points]
         drawn.add_scatter(
-            x=rates, y=shares, text=text, mode="lines+markers", name=f"push {push:g} m",
-            line=html.line(i),
+            x=[point.spin_rate_ratio for point in points], y=share,
+            error_y={
+                "type": "data", "symmetric": False, "thickness": 1,
+                "array": [point.high - point.probability for point in points],
+                "arrayminus": [point.probability - point.low for point in points],
+            },
+            text=[f"{point.held} of {point.held + point.lost} held" for point in points],
+            mode="lines+markers", name=f"push {push:g} m", line=html.line(i),
         )  # fmt: skip
-        counts += [
-            (f"{push:g}", f"{rate:g}", said, len(by_rate[rate]) - len(told[rate]))
-            for rate, said in zip(rates, text)
-        ]
     drawn.update_yaxes(range=[-0.03, 1.03])
     yield html.chart(drawn, "held")
-    yield html.table(("push [m]", "rate", "held", "failed"), counts)
+    yield html.table(
+        ("rate", "push [m]", "held", "lost", "failed", "95 % interval"),
+        [
+            (
+                f"{point.spin_rate_ratio:g}", f"{point.disturbance_m:g}",
+                point.held, point.lost, point.failed, f"{point.low:.2%} to {point.high:.2%}",
+            )
+            for point in found
+        ],
+    )  # fmt: skip
 
 
 def _as_table(table, chosen, parameter):
