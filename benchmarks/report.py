@@ -261,7 +261,8 @@ PARTS = {
 
 def write(results, folder):
     """Write benchmarks.md and benchmarks.png of what there is."""
-    lines = ["# Benchmarks", "", "Made by `make benchmarks`; every figure is of this run.", ""]
+    made = "Made by `make benchmarks`; the line below each section says of which run it is."
+    lines = ["# Benchmarks", "", made, ""]
     if "motion" in results:
         picture(results["motion"]["cases"], folder / "benchmarks.png")
         lines += ["![Milliseconds of every solver](benchmarks.png)", ""]
