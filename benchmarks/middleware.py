@@ -21,7 +21,7 @@ from tss_interfaces.msg import BeadStates
 
 from benchmarks.problems import cut
 from tss_ros.core import Propagator, initial_state, ring
-from tss_ros.messages.steps import STATE_TOPICS
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.runs.processes import Nodes
 from tss_ros.simulator import straight
 

@@ -31,7 +31,8 @@ from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
 from tss_ros.bags.writer import CHUNK_BYTES, BagWriter
 from tss_ros.core import Propagator, disturbed, initial_state, ring
-from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages, system_description
+from tss_ros.messages.steps import States, StepMessages, system_description
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.review import review
 from tss_ros.ros.network import stay_on_this_machine
 from tss_ros.ros.topics import read_topics

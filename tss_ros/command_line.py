@@ -2,9 +2,11 @@
 
 import argparse
 import difflib
+import math
 import os
 import re
 import sys
+import time
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -57,10 +59,43 @@ def why_not_written(path: Path, endings: Sequence[str] = (), overwrite: bool = F
     return "" if writable else f"{str(path)!r} cannot be written: permission denied"
 
 
+#: How often [s] a line that shows progress is renewed.
+PROGRESS_S = 0.2
+
+
 def show_progress(text: str) -> None:
     """Say on a terminal, in a line that the next one replaces, how far things are; "" ends it."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+class ProgressLine:
+    """The line on a terminal that says how far long work is, renewed a few times a second.
+
+    Attributes
+    ----------
+    begun : float
+        When the work began [s], by `time.monotonic`.
+    """
+
+    def __init__(self) -> None:
+        self.begun, self._shown = time.monotonic(), -math.inf
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to show how far the work is."""
+        return sys.stderr.isatty() and time.monotonic() - self._shown >= PROGRESS_S
+
+    def show(self, text: str) -> None:
+        """Put this in place of what the line said."""
+        if sys.stderr.isatty():
+            self._shown = time.monotonic()
+            show_progress(text)
+
+    def end(self) -> None:
+        """Leave the line, if there is one."""
+        if self._shown > -math.inf:
+            print(file=sys.stderr)
 
 
 class _ShowVersion(argparse.Action):

@@ -17,7 +17,8 @@ from tss_ros.bags.records import BagError
 from tss_ros.bags.writer import BagWriter
 from tss_ros.core import TssError, initial_state, ring
 from tss_ros.messages.cdr import Layout, stamp_ns, step_number
-from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages, system_description
+from tss_ros.messages.steps import States, StepMessages, system_description
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.ros.messages import simulation_event, stamp
 
 

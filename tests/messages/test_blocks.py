@@ -5,7 +5,8 @@ import pytest
 
 from tss_ros.core import Propagator, TssError, initial_state, ring
 from tss_ros.messages.blocks import MAX_STEP, Block, Unpacker, pack
-from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages
+from tss_ros.messages.steps import States, StepMessages
+from tss_ros.messages.topics import STATE_TOPICS
 
 
 def block(first_step=7, count=4, **system):

@@ -8,7 +8,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tss_interfaces.msg import FloquetResult, SystemDescription
 
 from tss_ros.core import initial_state
-from tss_ros.messages.steps import STATE_TOPICS, States, StepMessages
+from tss_ros.messages.steps import States, StepMessages
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.recorder.wellformed import Form, Malformed
 from tss_ros.ros.messages import simulation_event
 from tss_ros.ros.topics import read_topics

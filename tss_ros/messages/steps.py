@@ -12,7 +12,6 @@ import numpy as np
 from tss_ros import core
 from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.messages.cdr import Layout, serialised
-from tss_ros.messages.topics import STATE_TOPICS as STATE_TOPICS
 from tss_ros.messages.topics import read_topics
 from tss_ros.scenarios.scenario import read_text
 

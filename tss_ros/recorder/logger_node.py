@@ -74,7 +74,6 @@ class LoggerNode(TssNode):
         if options["in_bulk"]:
             heard = {name: t for name, t in recorded.items() if name not in STATE_TOPICS}
             heard[blocks.TOPIC] = topics[blocks.TOPIC]
-        self._unpacker = blocks.Unpacker()
         self._topics = [
             RecordedTopic(self, topic, self._on_messages, self._on_malformed)
             for topic in heard.values()
@@ -170,7 +169,7 @@ class LoggerNode(TssNode):
             )
 
     def _on_reports(self, messages):
-        for _, taken in messages:
+        for taken in (message.taken for message in messages):
             self._simulators.heard(taken.sender)
             self._watch.on_status(deserialize_message(taken.data, SimulationStatus))
 
@@ -188,7 +187,7 @@ class LoggerNode(TssNode):
         self._incomplete.clear()
 
     def _record(self, message):
-        topic, taken = message
+        topic, taken, block = message
         data = taken.data
         if (time_ns := topic.time_ns(data)) is not None:
             self._newest_ns = topic.newest_ns = time_ns
@@ -200,8 +199,8 @@ class LoggerNode(TssNode):
         if topic.every_step and data == topic.newest:
             return  # a simulator that stands still repeats it for those who come late
         topic.newest = data
-        if topic.name == blocks.TOPIC:
-            self._record_block(self._unpacker.unpack(data), taken)
+        if block:
+            self._record_block(block, taken)
             return
         number = (taken.number or 0) % 2**32
         channel = self._channels[topic.name]

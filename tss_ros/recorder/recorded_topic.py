@@ -9,7 +9,7 @@ from rclpy.waitable import NumberOfEntities, Waitable
 
 from tss_ros.core import TssError
 from tss_ros.messages import blocks
-from tss_ros.messages.blocks import MAX_STEP
+from tss_ros.messages.blocks import MAX_STEP, Block
 from tss_ros.messages.cdr import stamp_ns, step_number
 from tss_ros.recorder.taking import Taken, Taker
 from tss_ros.recorder.wellformed import Form, Malformed
@@ -22,10 +22,11 @@ MOST_PUBLISHERS = 100
 
 
 class Message(NamedTuple):
-    """A well-formed message, with the topic it came by."""
+    """A well-formed message, with the topic it came by, and its steps if it is a block of them."""
 
     topic: "RecordedTopic"
     taken: Taken
+    block: Block | None = None
 
 
 class _TakenElsewhere(CallbackGroup):
@@ -104,13 +105,13 @@ class RecordedTopic(Waitable):
                 break
             self.heard += 1
             try:
-                self._check(taken.data)
+                block = self._check(taken.data)
             except Malformed as error:
                 self.malformed += 1
                 self._on_malformed(self, str(error))
                 self.count_lost(taken)  # itself it is not lost
             else:
-                messages.append(Message(self, taken))
+                messages.append(Message(self, taken, block))
         return messages
 
     def time_ns(self, data: bytes) -> int | None:
@@ -137,11 +138,10 @@ class RecordedTopic(Waitable):
         self._form.check(data)
         if self._has_step and step_number(data) > MAX_STEP:
             raise Malformed(f"step is {step_number(data)}; allowed: 0 to {MAX_STEP}")
-        if self._unpacker:
-            try:
-                self._unpacker.unpack(data)
-            except TssError as error:
-                raise Malformed(str(error)) from None
+        try:
+            return self._unpacker and self._unpacker.unpack(data)
+        except TssError as error:
+            raise Malformed(str(error)) from None
 
     # --- for the executor
 

@@ -4,6 +4,7 @@ Scenario files, the nodes' parameters, overrides in requests, what a sweep may v
 of the documentation all come from here.
 """
 
+import argparse
 import array
 import math
 import numbers
@@ -233,6 +234,14 @@ def read_assignment(text: str) -> tuple[str, object]:
     if all(value.strip("[] +-").isdecimal() for value in values.split(",")):
         numbers_given = [int(number) for number in numbers_given]
     return name, numbers_given if "," in values else numbers_given[0]
+
+
+def override(text: str) -> tuple[str, object]:
+    """`read_assignment` for a word of a command line, which argparse refuses with the reason."""
+    try:
+        return read_assignment(text)
+    except TssError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _shown(value):

@@ -15,8 +15,14 @@ import numpy as np
 from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import Cancelled, TssError, sweep
-from tss_ros.scenarios.parameters import DISTURBANCE, PUBLISH_PERIOD, SPIN_RATE_RATIO, TURNS
-from tss_ros.simulator.straight import override, setup_of, simulate
+from tss_ros.scenarios.parameters import (
+    DISTURBANCE,
+    PUBLISH_PERIOD,
+    SPIN_RATE_RATIO,
+    TURNS,
+    override,
+)
+from tss_ros.simulator.straight import setup_of, simulate
 from tss_ros.sweeps import work
 from tss_ros.sweeps.ensemble import (
     CONFIDENCE,

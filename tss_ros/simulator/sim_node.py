@@ -14,7 +14,8 @@ from tss_interfaces.msg import BeadStates, TetherStates
 
 from tss_ros.core import TssError
 from tss_ros.messages import blocks
-from tss_ros.messages.steps import FRAME_ID, STATE_TOPICS, StepMessages, system_description
+from tss_ros.messages.steps import FRAME_ID, StepMessages, system_description
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run

@@ -7,7 +7,8 @@ import numpy as np
 from rclpy.publisher import Publisher
 
 from tss_ros.messages import blocks
-from tss_ros.messages.steps import STATE_TOPICS, StepMessages
+from tss_ros.messages.steps import StepMessages
+from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample
 

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from tss_ros.bags.writer import BagWriter
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, IntegrationError, Propagator, TssError
-from tss_ros.messages.steps import STATE_TOPICS, StepMessages, system_description
-from tss_ros.messages.topics import read_topics
+from tss_ros.messages.steps import StepMessages, system_description
+from tss_ros.messages.topics import STATE_TOPICS, read_topics
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import RUN, TURNS, read_assignment
+from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import MAX_TIME_S, compute_states, last_index
@@ -25,8 +25,6 @@ from tss_ros.simulator.simulation import MAX_TIME_S, compute_states, last_index
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
 #: A file of the bag this large [B] is completed and the next one begun.
 SPLIT_BYTES = 1e9
-#: How often [s] the line that shows progress is renewed.
-PROGRESS_S = 0.2
 
 
 def simulate(
@@ -128,20 +126,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parse(sys.argv[1:] if argv is None else argv)
     stopped = threading.Event()
     signal.signal(signal.SIGINT, lambda *_: stopped.set())
-    show = _Progress() if sys.stderr.isatty() else None
-    begun = time.monotonic()
+    line = ProgressLine()
+
+    def show(share):
+        if line.due:
+            left_s = (time.monotonic() - line.begun) * (1.0 / share - 1.0)
+            line.show(f"{share:.0%}, {left_s:.0f} s left")
+
     try:
         writer = simulate(make_setup(options), options.turns, options.output, show, stopped.is_set)
     except Cancelled:
-        print(f"\nsimulate: interrupted; {options.output} has what there was", file=sys.stderr)
+        line.end()
+        print(f"simulate: interrupted; {options.output} has what there was", file=sys.stderr)
         return 130
     except (TssError, OSError) as error:
+        line.end()
         print(f"simulate: {error}", file=sys.stderr)
         return 1
-    finally:
-        if show and show.shown:
-            print(file=sys.stderr)
-    print(f"{writer.path}: {writer.message_count} messages in {time.monotonic() - begun:.2f} s")
+    line.end()
+    seconds = time.monotonic() - line.begun
+    print(f"{writer.path}: {writer.message_count} messages in {seconds:.2f} s")
     return 0
 
 
@@ -179,25 +183,6 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     return Setup.of(said, system, ratio, loaded.start(system))
 
 
-def _setup(options):
-    return setup_of(options.scenario, dict(options.override), vars(options))
-
-
-class _Progress:
-    """The line on a terminal that says how far a simulation is."""
-
-    def __init__(self):
-        self.shown, self._begun, self._last = False, time.monotonic(), 0.0
-
-    def __call__(self, share):
-        now = time.monotonic()
-        if now - self._last < PROGRESS_S:
-            return
-        self.shown, self._last = True, now
-        left_s = (now - self._begun) * (1.0 / share - 1.0)
-        print(f"\r{share:.0%}, {left_s:.0f} s left\033[K", end="", file=sys.stderr, flush=True)
-
-
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The command line's words; exits with status 2 where they are wrong."""
     parser = Parser(
@@ -231,11 +216,3 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     if not options.turns > 0.0:
         parser.error(f"--turns is {options.turns:g}; allowed: more than 0")
     return options
-
-
-def override(text: str) -> tuple[str, object]:
-    """`read_assignment` of a word of a command line."""
-    try:
-        return read_assignment(text)
-    except TssError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None

@@ -1,6 +1,5 @@
 """Executable `follow`: a family of periodic motions, followed in the spin rate or a parameter."""
 
-import argparse
 import contextlib
 import math
 import signal
@@ -11,13 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tss_ros import plots
-from tss_ros.command_line import FIGURES, Parser
+from tss_ros.command_line import FIGURES, Parser, ProgressLine
 from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
 from tss_ros.scenarios import parameters, scenario
 from tss_ros.sweeps import families, software
 
-#: How often [s] the line that shows progress is renewed.
-PROGRESS_S = 0.2
 SPIN_RATE_RATIO = parameters.SPIN_RATE_RATIO.name
 
 
@@ -97,7 +94,7 @@ def _follow(options, stopped):
     if options.parameter != SPIN_RATE_RATIO:
         own = overrides.get(SPIN_RATE_RATIO, loaded.spin_rate_ratio)
         ratio = own if options.rate is None else options.rate
-    show = _Progress() if sys.stderr.isatty() else None
+    show = _Progress()
     try:
         family = follow(
             system, options.parameter, options.first, options.last, spin_rate_ratio=ratio,
@@ -105,8 +102,7 @@ def _follow(options, stopped):
             most_points=options.points, progress=show, cancelled=stopped.is_set,
         )  # fmt: skip
     finally:
-        if show and show.shown:
-            print(file=sys.stderr)
+        show.line.end()
     at = "" if ratio is None else f" at {SPIN_RATE_RATIO} {ratio:g}"
     print(
         f"{options.scenario}, {options.parameter} from {options.first:g} to {options.last:g}{at},"
@@ -158,21 +154,18 @@ def _label(name):
 
 
 class _Progress:
-    """The line on a terminal that says how far a family is."""
+    """Says on a terminal how far a family is."""
 
     def __init__(self):
-        self.shown, self._points, self._begun, self._last = False, 0, time.monotonic(), 0.0
+        self.line, self._points = ProgressLine(), 0
 
     def __call__(self, done: float, point: FamilyPoint) -> None:
-        self._points, now = self._points + 1, time.monotonic()
-        if now - self._last < PROGRESS_S:
-            return
-        self.shown, self._last = True, now
-        print(
-            f"\r{done:.0%}, {point.parameter:.6g}: {point.verdict}, {self._points} points in"
-            f" {now - self._begun:.0f} s\033[K",
-            end="", file=sys.stderr, flush=True,
-        )  # fmt: skip
+        self._points += 1
+        if self.line.due:
+            self.line.show(
+                f"{done:.0%}, {point.parameter:.6g}: {point.verdict}, {self._points} points in"
+                f" {time.monotonic() - self.line.begun:.0f} s"
+            )
 
 
 def _parse(arguments):
@@ -193,7 +186,8 @@ def _parse(arguments):
         "--rate", type=float, help="spin rate if another parameter is followed (the scenario's)"
     )
     parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=_override, metavar="NAME=VALUE",
+        "--override", nargs="+", action="extend", default=[], type=parameters.override,
+        metavar="NAME=VALUE",
         help="a parameter that differs from the scenario's, e.g. tether_law=tension_only",
     )  # fmt: skip
     parser.add_argument(
@@ -227,10 +221,3 @@ def _is_negative(text):
     with contextlib.suppress(ValueError):
         return text.startswith("-") and math.isfinite(float(text))
     return False
-
-
-def _override(text):
-    try:
-        return parameters.read_assignment(text)
-    except TssError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None

@@ -8,12 +8,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tss_ros.command_line import ProgressLine
 from tss_ros.core import Cancelled, TssError, sweep
 from tss_ros.sweeps import cluster
 from tss_ros.sweeps.store import Asked, Store
-
-#: How often [s] the line that shows progress is renewed.
-PROGRESS_S = 0.2
 
 
 def compute(
@@ -141,30 +139,24 @@ class Progress:
         self, done: int, total: int, also: Callable[[], str] | None = None, what: str = "jobs"
     ) -> None:
         self._first, self._total, self._also, self._what = done, total, also, what
-        self._begun, self._shown = time.monotonic(), -PROGRESS_S
-        self._wanted = sys.stderr.isatty()
+        self._line = ProgressLine()
 
     def __call__(self, done: int) -> None:
         """Show how far it is, when it is time."""
-        now = time.monotonic()
-        if not self._wanted or (now - self._shown < PROGRESS_S and done < self._total):
+        if not (self._line.due or done == self._total):
             return
-        self._shown = now
-        rate = (done - self._first) / max(now - self._begun, 1e-9)
+        seconds = max(time.monotonic() - self._line.begun, 1e-9)
+        rate = (done - self._first) / seconds
         left = int((self._total - done) / rate)
         also = f", {self._also()}" if self._also else ""
-        print(
-            f"\r{done / self._total:.0%}, {done} of {self._total} {self._what}, {rate:.3g}/s,"
-            f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left{also}\033[K",
-            end="",
-            file=sys.stderr,
-            flush=True,
+        self._line.show(
+            f"{done / self._total:.0%}, {done} of {self._total} {self._what}, {rate:.3g}/s,"
+            f" {left // 3600}:{left // 60 % 60:02}:{left % 60:02} left{also}"
         )
 
     def end(self) -> None:
         """Leave the line."""
-        if self._wanted:
-            print(file=sys.stderr)
+        self._line.end()
 
 
 def add_options(parser: argparse.ArgumentParser, keeps: str) -> None:
