@@ -105,7 +105,7 @@ def test_the_summary_names_the_law_and_the_pushing_it_may_have(tmp_path, law):
 def test_the_summary_names_the_laws_that_act_besides(tmp_path):
     system = ring(j2=1.08263e-3)
     text = commands.describe(record(tmp_path / "a", system, 0.01))
-    assert "law           oblateness: j2 0.00108263\n" in text
+    assert "law           j2: j2 0.00108263\n" in text
     assert "law           " not in commands.describe(record(tmp_path / "b", ring(), 0.01))
 
 

@@ -5,7 +5,7 @@ import typing
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,6 +91,8 @@ def _made(kind, parts, prefix):
     values, hints = {}, typing.get_type_hints(kind)
     for field in fields(kind):
         hint, name = hints[field.name], prefix + field.name
+        if name not in parts and field.default_factory is not MISSING:
+            continue  # a field that files of older releases do not have
         values[field.name] = (
             _made(hint, parts, f"{name}.") if is_dataclass(hint) else _value(hint, parts[name])
         )

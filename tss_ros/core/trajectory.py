@@ -39,8 +39,8 @@ class SampledMotion(Presented):
 
     @property
     def turn_s(self) -> float:
-        """Spin period of the undisturbed formation [s]."""
-        return 2.0 * math.pi / abs(self.spin_rate_ratio * self._described.orbit_rate_rad_s)
+        """Spin period of the undisturbed formation [s], that of the orbit if it hangs."""
+        return 2.0 * math.pi / abs((self.spin_rate_ratio or 1.0) * self._described.orbit_rate_rad_s)
 
     @property
     def turns(self) -> np.ndarray:
@@ -60,9 +60,7 @@ class SampledMotion(Presented):
     @property
     def deviation_from_centre(self) -> np.ndarray:
         """Eq. (53) measured from the instantaneous centre of mass [-], shape (k, n)."""
-        return deviation(
-            self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m
-        )
+        return deviation(self.position_m - self.centre_of_mass_m[:, None], self.reference_radius_m)
 
     @property
     def energy_j(self) -> np.ndarray:
@@ -295,7 +293,7 @@ def simulate(
         If `cancelled` said so.
     """
     turns = finite("turns", turns, above=0.0)
-    turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
+    turn_s = system.period_s(spin_rate_ratio)
     between = turn_s / SAMPLES if period_s is None else finite("period_s", period_s, above=0.0)
     # A state that falls on the end counts, whatever rounding does.
     most, count = MOST_BEAD_STEPS // system.n, turns * turn_s / between * (1.0 + 1e-12)

@@ -5,7 +5,6 @@ step control. The forces are those of the core's laws; nothing else is shared wi
 and nothing else in the package computes with this one.
 """
 
-import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -56,7 +55,7 @@ def held_edges(
 def largest_deviation(of: System, rate: float, rtol: float, cancelled: Callable[[], bool]) -> float:
     """Largest change of a distance from the centre of mass, over itself, in `TURNS` turns."""
     start = disturbed(initial_state(of, rate), DISTURBANCE_M, SEED)
-    turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(rate))
+    turn_s = of.period_s(rate)
     arrays = kernel_arrays(of, 0.0)
 
     def derivative(state, _):

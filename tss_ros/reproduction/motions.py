@@ -3,7 +3,6 @@
 The functions take motions read from a bag and motions simulated here alike.
 """
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +62,7 @@ def simulate(of: System, motion: PaperMotion, cancelled: Callable[[], bool]) -> 
     if motion.disturbance_m:
         start = disturbed(undisturbed, motion.disturbance_m, SEED)
     turns = np.linspace(0, motion.turns, motion.turns * SAMPLES_PER_TURN + 1)
-    turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(motion.rate))
+    turn_s = of.period_s(motion.rate)
     propagator = Propagator(of, motion.rate, start, rtol=1e-12)
     position_m, velocity_m_s = propagator.sample(turns * turn_s, cancelled)
     length_m, tension_n, taut = tether_state(of, position_m, velocity_m_s)

@@ -6,7 +6,6 @@ the package's sources have changed since.
 
 import hashlib
 import json
-import math
 import os
 import shutil
 import tempfile
@@ -263,7 +262,7 @@ class Workshop:
     def _record(self, name, cancelled):
         motion = claims.MOTIONS[name]
         of = claims.system(motion.scenario, self.damping)
-        turn_s = 2 * math.pi / abs(of.spin_rate_rad_s(motion.rate))
+        turn_s = of.period_s(motion.rate)
         shutil.rmtree(self._bag(name), ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=".motion.", dir=self._output) as scratch:
             logs, bag = Path(scratch), Path(scratch) / "bag"

@@ -1,6 +1,5 @@
 """The whole chain in one go: simulate, record, ask for stability, and leave pictures of it all."""
 
-import math
 import os
 import sys
 import tempfile
@@ -57,7 +56,7 @@ def make(output: Path, caught: list[int]) -> None:
         fresh = Path(scratch) / "new"
         fresh.mkdir()
         system = scenario.load(SCENARIO).build({})
-        turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(SPIN_RATE_RATIO))
+        turn_s = system.period_s(SPIN_RATE_RATIO)
         print("starting sim_node, logger_node and stability_node", flush=True)
         recording, results = _run_nodes(fresh, Path(scratch), turn_s, caught)
         for name, draw in DRAWN.items():

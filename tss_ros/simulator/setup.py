@@ -1,7 +1,6 @@
 """What a simulator's run begins with: a system, its spin and its disturbed initial state."""
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -78,8 +77,8 @@ class Setup:
 
     @property
     def turn_s(self) -> float:
-        """[s] duration of one spin turn."""
-        return 2.0 * math.pi / abs(self.spin_rate_ratio * self.system.orbit_rate_rad_s)
+        """[s] duration of one turn, of the orbit if the formation hangs."""
+        return self.system.period_s(self.spin_rate_ratio)
 
     @property
     def identity(self) -> dict[str, np.ndarray]:

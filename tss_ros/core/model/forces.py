@@ -216,9 +216,7 @@ def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndar
 
 
 @checked
-def elastic_energy(
-    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
-) -> np.ndarray:
+def elastic_energy(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
     """Elastic energy [J] of all taut tethers together; shapes as `tether_state`, result (...)."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)

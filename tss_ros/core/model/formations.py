@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.frames import turn_to
 from tss_ros.core.model.laws import TETHER_LAWS
-from tss_ros.core.model.system import System, finite
+from tss_ros.core.model.parameters import named_perturbations
+from tss_ros.core.model.system import ORBIT_NORMAL, System, finite, unit_vector
 
 #: Most beads, satellites included, that a system may have.
 MOST_BEADS = 20_000
@@ -58,6 +60,8 @@ def assemble(
     linear_gravity: bool = False,
     bilateral: bool = False,
     tether_law: str = TETHER_LAWS[0].name,
+    spin_axis: Sequence[float] = ORBIT_NORMAL,
+    perturbations: Sequence[str] = (),
     **law_parameters: float,
 ) -> System:
     """Build the `System` of any tether graph.
@@ -70,8 +74,11 @@ def assemble(
     satellites : sequence of Satellite
     tethers : sequence of Tether
     orbit_altitude_m : float
-    linear_gravity, bilateral, tether_law, **law_parameters
+    linear_gravity, bilateral, tether_law, spin_axis, **law_parameters
         See `System`.
+    perturbations : sequence of str
+        Names of `laws.PERTURBATIONS` that act, each with its typical strength where its own
+        parameter is not given.
 
     Returns
     -------
@@ -125,7 +132,8 @@ def assemble(
         linear_gravity,
         bilateral,
         tether_law,
-        law_parameters,
+        named_perturbations(perturbations, law_parameters),
+        spin_axis,
     )
 
 
@@ -188,6 +196,8 @@ def formation(
     linear_gravity: bool = False,
     bilateral: bool = False,
     tether_law: str = TETHER_LAWS[0].name,
+    spin_axis: Sequence[float] = ORBIT_NORMAL,
+    perturbations: Sequence[str] = (),
     **law_parameters: float,
 ) -> System:
     """Build one of the named formations; the defaults are Table 1.
@@ -218,8 +228,11 @@ def formation(
     bead_mass_kg : float or sequence
         [kg] one for all, one per tether (of each of its beads), or one per bead.
     orbit_altitude_m : float
-    linear_gravity, bilateral, tether_law, **law_parameters
+    linear_gravity, bilateral, tether_law, spin_axis, **law_parameters
         See `System`.
+    perturbations : sequence of str
+        Names of `laws.PERTURBATIONS` that act, each with its typical strength where its own
+        parameter is not given.
 
     Returns
     -------
@@ -247,10 +260,12 @@ def formation(
     tethers = _tethers(graph, beads, (lengths, stiffness, damping), bead_mass)
     total = [math.fsum(tether.length_m) for tether in tethers]
     places, names = _shape(shape, count, total)
-    nodes = [Satellite(*node) for node in zip(names, mass, places)]
+    turned = np.array(places) @ turn_to(unit_vector("spin_axis", spin_axis)).T
+    nodes = [Satellite(*node) for node in zip(names, mass, map(tuple, turned.tolist()))]
     return assemble(
-        nodes, tethers, orbit_altitude_m, linear_gravity, bilateral, tether_law, **law_parameters
-    )
+        nodes, tethers, orbit_altitude_m, linear_gravity, bilateral, tether_law, spin_axis,
+        perturbations, **law_parameters
+    )  # fmt: skip
 
 
 def ring(
@@ -266,6 +281,8 @@ def ring(
     linear_gravity: bool = False,
     bilateral: bool = False,
     tether_law: str = TETHER_LAWS[0].name,
+    spin_axis: Sequence[float] = ORBIT_NORMAL,
+    perturbations: Sequence[str] = (),
     **law_parameters: float,
 ) -> System:
     """Build a ring of n satellites, the paper's formation, Eq. (48); see `formation`."""
@@ -282,6 +299,8 @@ def ring(
         linear_gravity=linear_gravity,
         bilateral=bilateral,
         tether_law=tether_law,
+        spin_axis=spin_axis,
+        perturbations=perturbations,
         **law_parameters,
     )
 

@@ -49,6 +49,15 @@ def rotated_about_z(x: np.ndarray, angle: float) -> np.ndarray:
     )
 
 
+def turn_to(axis: np.ndarray) -> np.ndarray:
+    """The shortest turn (3, 3) that takes the z axis to a unit vector; about x if it is -z."""
+    x, y, z = axis
+    if z <= -1.0 + 1e-15:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1.0 + z)
+
+
 @inlined
 def _into_orbit(c, s, spin, x, y, vx, vy):
     """Plane components of one position and velocity, c = cos(omega t), s = sin(omega t)."""

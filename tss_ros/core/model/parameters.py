@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError, near_match
-from tss_ros.core.model.laws import LAW_PARAMETERS
+from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS
 from tss_ros.core.model.system import System, finite
 
 _OF_BEADS = {"satellite_mass_kg": True, "bead_mass_kg": False}
@@ -111,3 +112,29 @@ def tether_of_segments(system: System) -> np.ndarray:
         for other in meeting[1:]:
             tether[tether == tether[other]] = tether[meeting[0]]
     return np.unique(tether, return_inverse=True)[1]
+
+
+def named_perturbations(
+    named: Sequence[str], law_parameters: Mapping[str, float]
+) -> dict[str, float]:
+    """Parameters of laws with those of perturbations that are chosen by name.
+
+    Raises
+    ------
+    TssError
+        If there is no such perturbation, or its own parameter says that it does not act.
+    """
+    values = dict(law_parameters)
+    if isinstance(named, str) or not all(isinstance(name, str) for name in named):
+        raise TssError(f"perturbations must be a list of names, got {named!r:.80}")
+    for name in named:
+        if name not in PERTURBATIONS:
+            raise TssError(
+                f"perturbations must be of {', '.join(PERTURBATIONS)}, got {name!r:.80}"
+                f"{near_match(name, PERTURBATIONS)}"
+            )
+        law = PERTURBATIONS[name]
+        strength = law.parameters[0].name
+        if values.setdefault(strength, law.typical) == 0.0:
+            raise TssError(f"perturbations has {name!r}, but {strength} is 0")
+    return values

@@ -25,6 +25,8 @@ MU_EARTH = 3.986e14
 RADIUS_EARTH_M = 6378e3
 #: Most beads that a table of a state shows.
 MOST_SHOWN = 12
+#: The z axis.
+ORBIT_NORMAL = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,7 +65,7 @@ class State(Presented):
 
 @dataclass(frozen=True, repr=False)
 class System(Presented):
-    """Beads joined by tether segments on a circular orbit; arrays are validated and read-only.
+    """Beads joined by tether segments on an orbit; arrays are validated and read-only.
 
     Attributes
     ----------
@@ -77,10 +79,10 @@ class System(Presented):
     rest_length_m, axial_stiffness_n, damping_n_s_per_m : ndarray, shape (m,)
         Equilibrium length L [m], EA [N] and C [N s/m] of each segment, Eqs. (3) and (6).
     layout_m : ndarray, shape (n, 3)
-        [m] nominal shape in the orbit frame at time 0; the spin axis is z. A first guess of the
-        steady state, not the steady state itself.
+        [m] nominal shape in the orbit frame at time 0. A first guess of the steady state, not the
+        steady state itself.
     orbit_altitude_m : float
-        H [m] above `RADIUS_EARTH_M`.
+        H [m] above `RADIUS_EARTH_M`; that of the perigee if the orbit is no circle.
     linear_gravity : bool
         Use the gravity gradient linearised at the centre instead of Eq. (2).
     bilateral : bool
@@ -88,7 +90,12 @@ class System(Presented):
     tether_law : str
         Name of one of `laws.TETHER_LAWS`: how taut segments pull.
     law_parameters : dict of str to float
-        Values of `laws.LAW_PARAMETERS` by name; those left out have their defaults.
+        Values of `laws.LAW_PARAMETERS` by name, the elements of the orbit among them; those left
+        out have their defaults.
+    spin_axis : ndarray, shape (3,)
+        Unit vector in the orbit frame about which the formation spins at time 0, as far as that
+        is known: where the axis rests follows from the masses and the rate. Any length but zero
+        may be given.
 
     Raises
     ------
@@ -110,6 +117,7 @@ class System(Presented):
     bilateral: bool = False
     tether_law: str = TETHER_LAWS[0].name
     law_parameters: Mapping[str, float] = field(default_factory=dict)
+    spin_axis: np.ndarray = field(default_factory=lambda: np.array(ORBIT_NORMAL))
 
     def __post_init__(self):
         n, m = len(self.bead_name), len(self.tether_name)
@@ -148,6 +156,7 @@ class System(Presented):
         object.__setattr__(self, "layout_m", layout)
         altitude = finite("orbit_altitude_m", self.orbit_altitude_m, at_least=0.0)
         object.__setattr__(self, "orbit_altitude_m", altitude)
+        object.__setattr__(self, "spin_axis", unit_vector("spin_axis", self.spin_axis))
         self._check_laws()
 
     def _check_laws(self):
@@ -271,17 +280,32 @@ class System(Presented):
 
     @property
     def orbit_radius_m(self) -> float:
-        """R = R_E + H [m]."""
+        """R = R_E + H [m], that of the perigee if the orbit is no circle."""
         return RADIUS_EARTH_M + self.orbit_altitude_m
 
     @cached_property
     def mean_motion_rad_s(self) -> float:
-        """n = sqrt(mu / R^3) [rad/s]."""
-        return math.sqrt(MU_EARTH / self.orbit_radius_m**3)
+        """n = sqrt(mu / a^3) [rad/s] with the semi-major axis a = R / (1 - e)."""
+        axis = self.orbit_radius_m / (1.0 - self.law_parameters["eccentricity"])
+        return math.sqrt(MU_EARTH / axis**3)
+
+    @cached_property
+    def on_circle(self) -> bool:
+        """Whether the centre's orbit stays a circle in a plane, so that the orbit frame is at rest.
+
+        Then forces in it do not depend on time. It is not so on an ellipse, and not on an orbit
+        that is inclined against the equator of an oblate Earth.
+        """
+        inclined = self.law_parameters["inclination_deg"] not in (0.0, 180.0)
+        return self.law_parameters["eccentricity"] == 0.0 and not (
+            inclined and self.law_parameters["j2"]
+        )
 
     @cached_property
     def orbit_rate_rad_s(self) -> float:
-        """Omega [rad/s]: n, or what the laws that act make of it (`BeadLaw.orbit`)."""
+        """Omega [rad/s]: n, or what the laws that act make of a circle's (`BeadLaw.orbit`)."""
+        if not self.on_circle:
+            return self.mean_motion_rad_s
         more = 0.0
         for law in self.acting_laws:
             if law.orbit is not None:
@@ -290,11 +314,26 @@ class System(Presented):
         return self.mean_motion_rad_s * math.sqrt(1.0 + more)
 
     def spin_rate_rad_s(self, spin_rate_ratio: float) -> float:
-        """Spin rate omega [rad/s] in the orbit frame for w = omega / Omega; refuses 0 and NaN."""
+        """Spin rate omega [rad/s] in the orbit frame for w = omega / Omega; 0 if it hangs."""
         ratio = finite("spin_rate_ratio", spin_rate_ratio)
-        if not 1e-3 <= abs(ratio) <= 1e4:
-            raise TssError(f"spin_rate_ratio must have a size from 0.001 to 10000, got {ratio:g}")
+        if ratio and not 1e-3 <= abs(ratio) <= 1e4:
+            raise TssError(
+                f"spin_rate_ratio must be 0 or have a size from 0.001 to 10000, got {ratio:g}"
+            )
         return ratio * self.orbit_rate_rad_s
+
+    def period_s(self, spin_rate_ratio: float) -> float:
+        """T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs, w = 0."""
+        spin = self.spin_rate_rad_s(spin_rate_ratio)
+        return 2.0 * math.pi / abs(spin or self.orbit_rate_rad_s)
+
+    def turning_rad_s(self, spin_rate_rad_s: float) -> float:
+        """Rate [rad/s] of the frame in which the formation hardly moves, about z.
+
+        That of the spin where its axis is the orbit normal; elsewhere 0, the orbit frame itself.
+        """
+        x, y, z = self.spin_axis
+        return math.copysign(spin_rate_rad_s, spin_rate_rad_s * z) if x == y == 0.0 else 0.0
 
 
 def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
@@ -310,6 +349,26 @@ def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
     except (TypeError, ValueError):
         shown = f"{values!r:.80}".replace("\n", " ")
         raise TssError(f"{name} must be an array of numbers, got {shown}") from None
+
+
+def unit_vector(name: str, value: object) -> np.ndarray:
+    """Return a vector of any length but zero as one of length 1, read-only.
+
+    Raises
+    ------
+    TssError
+        Naming the thing, its value and what is allowed.
+    """
+    vector = numbers(name, value)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise TssError(f"{name} must be three finite numbers x, y, z, got {value!r:.80}")
+    largest = np.max(np.abs(vector))
+    if not largest:
+        raise TssError(f"{name} must have a length above 0, got [0, 0, 0]")
+    vector = vector / largest
+    vector = vector / np.linalg.norm(vector)
+    vector.flags.writeable = False
+    return vector
 
 
 def finite(

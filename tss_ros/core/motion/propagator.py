@@ -36,7 +36,8 @@ class Integrator:
     ----------
     system : System
     spin_rate_rad_s : float
-        Rate [rad/s] of the turning frame against the orbit frame.
+        omega [rad/s] about the formation's axis; 0 if it hangs. The turning frame turns with it
+        where the axis is the orbit normal, and is the orbit frame elsewhere.
     rtol : float
         Error aimed at, relative to the formation's size and rim speed.
     dense : bool
@@ -66,8 +67,8 @@ class Integrator:
             raise TssError(
                 f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r:.80}"
             )
-        self.system, self.rtol = system, rtol
-        self.arrays = kernel_arrays(system, spin_rate_rad_s)
+        self.system, self.rtol, self.spin = system, rtol, spin_rate_rad_s
+        self.arrays = kernel_arrays(system, system.turning_rad_s(spin_rate_rad_s))
         self.symbolic = block_lu.analyse(system.n, system.tether_ends)
         self.tables = radau_tables.radau(stages)
         self._no_samples = self.samples(np.empty(0))
@@ -92,7 +93,7 @@ class Integrator:
     def driven(self, share: float) -> Integrator:
         """The same with a drive, `laws.inertia`, that gives the spin this share of it in a turn."""
         other = copy.copy(self)
-        drive = share * self.arrays.spin / self.period_s
+        drive = share * self.spin / self.period_s
         other.arrays = self.arrays._replace(drive=drive)
         return other
 
@@ -210,8 +211,8 @@ class Integrator:
 
     @property
     def period_s(self) -> float:
-        """T = 2 pi / |omega| [s], one turn of the turning frame."""
-        return 2.0 * math.pi / abs(self.arrays.spin)
+        """T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs."""
+        return 2.0 * math.pi / abs(self.spin or self.arrays.rate)
 
     def scaled(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
         """Velocities over the rim speed, then positions over the radius, as one vector (6n,)."""
@@ -274,7 +275,7 @@ class Propagator:
         length = np.max(np.linalg.norm(system.layout_m, axis=1))
         self._integrator = Integrator(system, spin, rtol, length, dense=True, integrator=integrator)
         self._motion = self._integrator.begin(state)
-        self.period_s = 2.0 * math.pi / abs(spin)
+        self.period_s = self._integrator.period_s
 
     @property
     def integrator_state(self) -> IntegratorState:

@@ -65,7 +65,7 @@ def look(integrator: Integrator, start: State) -> Look:
     held = taut.any(axis=0)
     never_taut = tuple(name for name, ever in zip(system.tether_name, held) if not ever)
     refusal = (
-        _turned(system, samples.r, integrator.arrays.spin)
+        _turned(system, samples.r, integrator.spin)
         or _collapsed(system, length)
         or _loose(system, held)
     )

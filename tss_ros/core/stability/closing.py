@@ -144,7 +144,7 @@ class ClosingEquations:
     def _back(self, integrator, x):
         if self.symmetry.order == 1:
             return x
-        return self.symmetry.back(integrator.arrays.spin < 0.0, x)
+        return self.symmetry.back(integrator.spin < 0.0, x)
 
     def linearise(self, y: np.ndarray, whole: bool = False) -> Linearised:
         """Their derivatives there.

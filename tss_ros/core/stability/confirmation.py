@@ -274,7 +274,7 @@ class UndisturbedMotion:
             state = initial_state(system, spin_rate_ratio)
         self.state, self._system, self._ratio = state, system, spin_rate_ratio
         self._rtol, self._turns = rtol, turns
-        self._period_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(spin_rate_ratio))
+        self._period_s = system.period_s(spin_rate_ratio)
         self._times = np.linspace(0.0, turns * self._period_s, turns * SAMPLES + 1)
         self._radius = np.linalg.norm(state.position_m, axis=1)
         self.size_m = np.max(self._radius)
@@ -290,9 +290,7 @@ class UndisturbedMotion:
         centre = np.average(position, axis=1, weights=self._system.mass_kg)
         return position, position - centre[:, None], velocity, motion.switches
 
-    def compare(
-        self, start: State, cancelled: Callable[[], bool] | None = None
-    ) -> DisturbedMotion:
+    def compare(self, start: State, cancelled: Callable[[], bool] | None = None) -> DisturbedMotion:
         """What becomes of the formation from another start.
 
         Parameters

@@ -126,7 +126,7 @@ def compute_floquet(
 
 def _of_motion(integrator, start, state, certify, cancelled):
     """The result of the motion that is meant, found from a state or of the own family."""
-    system, spin = integrator.system, integrator.arrays.spin
+    system, spin = integrator.system, integrator.spin
     missed_by = _missed_by(integrator, start, cancelled)
     motion, words = _search(integrator, state, cancelled)
     if motion is None:
@@ -147,7 +147,7 @@ def _missed_by(integrator, start, cancelled):
 def _search(integrator, state, cancelled):
     """The motion that a question is about, None if none was found; and words on it."""
     system = integrator.system
-    ratio = integrator.arrays.spin / system.orbit_rate_rad_s
+    ratio = integrator.spin / system.orbit_rate_rad_s
     if state is not None:
         return _near(integrator, ratio, state, cancelled)
     if system.n > families.MOST_BEADS:
@@ -226,7 +226,7 @@ def _question(method, system, spin):
         "method": method,
         "spin_rate_ratio": spin / system.orbit_rate_rad_s,
         "spin_rate_rad_s": spin,
-        "period_s": 2.0 * math.pi / abs(spin),
+        "period_s": 2.0 * math.pi / abs(spin or system.orbit_rate_rad_s),
         "tether_law": system.tether_law,
     }
 
@@ -236,7 +236,7 @@ def _result(method, integrator, spectrum, family, judgement, residual=(), **know
     multiplier, vectors = spectrum
     order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(
-        **_question(method, integrator.system, integrator.arrays.spin),
+        **_question(method, integrator.system, integrator.spin),
         multiplier=multiplier[order],
         family=tuple(str(name) for name in family[order]),
         max_modulus=judgement.max_modulus,

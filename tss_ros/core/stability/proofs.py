@@ -59,7 +59,7 @@ def convergence_error(
     integrator = turn.integrator
     finer = Integrator(
         integrator.system,
-        integrator.arrays.spin,
+        integrator.spin,
         max(0.01 * integrator.rtol, 1e-12),
         integrator.settings.length,
     )

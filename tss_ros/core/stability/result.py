@@ -176,8 +176,7 @@ class FloquetResult(Presented, Stored):
         known = [f"{name} {x:.1e}" for name, x in known.items() if not math.isnan(x)]
         method = "" if self.method == METHODS[0] else f" ({self.method})"
         return (
-            f"ω = {self.spin_rate_ratio:g} Ω{method}:"
-            f" {'; '.join([self.verdict + decided, *known])}"
+            f"ω = {self.spin_rate_ratio:g} Ω{method}: {'; '.join([self.verdict + decided, *known])}"
         )
 
     def _facts(self):

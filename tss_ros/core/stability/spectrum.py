@@ -85,7 +85,7 @@ def spectrum(
         # M f(x(0)) = f(x(T)) with f the orbit frame's autonomous flow, Eq. (28).
         left = matrix @ before - after
         error = flow_error = float(np.max(np.abs(left)) / np.max(np.abs(before)))
-    ratio = integrator.arrays.spin / integrator.system.orbit_rate_rad_s
+    ratio = integrator.spin / integrator.system.orbit_rate_rad_s
     drift = DRIVEN * abs(ratio) * loss
     radius = drift_radius(residual, drift, error * float(np.linalg.norm(matrix, 2)))
     above = planar & (vectors[2::3] != 0.0).any(axis=0)

@@ -5,6 +5,7 @@ from tss_ros.core.model.laws import (
     gravity,
     kelvin_voigt,
     oblateness,
+    orbit,
     stiffening,
     tension_only,
 )
@@ -14,7 +15,10 @@ from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, TetherLaw
 TETHER_LAWS: tuple[TetherLaw, ...] = (kelvin_voigt.LAW, tension_only.LAW, stiffening.LAW)
 #: What accelerates beads: those whose first parameter is not zero act together.
 BEAD_LAWS: tuple[BeadLaw, ...] = (gravity.LAW, gravity.LINEAR_LAW, oblateness.LAW, drag.LAW)
-#: All parameters of laws, each once.
-LAW_PARAMETERS: tuple[LawParameter, ...] = tuple(
-    dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS) for p in law.parameters)
+#: All parameters of laws, each once, and the elements of the orbit.
+LAW_PARAMETERS: tuple[LawParameter, ...] = (
+    *dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS) for p in law.parameters),
+    *orbit.ELEMENTS,
 )
+#: Laws that may be chosen by their names alone: perturbations of the orbit.
+PERTURBATIONS = {law.name: law for law in BEAD_LAWS if law.typical}

@@ -134,6 +134,9 @@ class BeadLaw:
         Whether it is the gradient of a potential, so that its Jacobian is symmetric.
     keeps_plane : bool
         Whether it leaves beads in the orbit plane that are there.
+    typical : float
+        Value of the first parameter where the law is chosen by its name alone, as one of
+        `laws.PERTURBATIONS`; 0 if it cannot be.
     """
 
     name: str
@@ -144,6 +147,7 @@ class BeadLaw:
     by_velocity: bool = False
     from_potential: bool = True
     keeps_plane: bool = True
+    typical: float = 0.0
 
     def __post_init__(self):
         if self.by_velocity and self.from_potential:

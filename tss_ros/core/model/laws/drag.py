@@ -40,5 +40,5 @@ def acceleration(
 
 LAW = BeadLaw(
     "drag", "drag of an exponential atmosphere", acceleration, PARAMETERS,
-    by_velocity=True, from_potential=False,
+    by_velocity=True, from_potential=False, typical=0.01,
 )  # fmt: skip

@@ -33,4 +33,6 @@ def acceleration(m: Moving, j2: Expression) -> Vector:
     return level * x, level * y, -flat * (3.0 - tall) * z
 
 
-LAW = BeadLaw("oblateness", "the Earth's oblateness J2", acceleration, (J2,), orbit=orbit)
+LAW = BeadLaw(
+    "j2", "the Earth's oblateness J2", acceleration, (J2,), orbit=orbit, typical=1.08263e-3
+)
