@@ -26,6 +26,8 @@ EXTRAS = {
     "page": ["plotly>=6.0", *PLOTS, *TABLES],
     # the report of the reproduction
     "reproduction": [*PLOTS, *TABLES, "markdown-it-py>=3.0"],
+    # orbits from two-line elements
+    "orbits": ["sgp4>=2.23"],
     # sweeps on a Dask cluster
     "cluster": ["distributed>=2025.1", *TABLES],
     # nodes, with the interfaces that colcon builds, where no ROS 2 is installed

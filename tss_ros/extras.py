@@ -14,6 +14,7 @@ EXTRAS = {
     "markdown_it": "reproduction",
     "plotly": "page",
     "distributed": "cluster",
+    "sgp4": "orbits",
 }
 #: Packages of ROS 2 and of this project's own interfaces.
 ROS = (

@@ -19,6 +19,8 @@ from tss_ros.sweeps.command import main as sweep
 OTHERS = {"shape", "linear_gravity", "bilateral", "law_parameters"}
 #: Parameters that one tether law uses: the others refuse them.
 OF_LAW = {p.name: law.name for law in TETHER_LAWS for p in law.parameters}
+#: What scenarios have that spell out their bodies.
+BODIES = ("bodies", "tethers")
 #: What the description of a run says of beads and segments, where it has another name.
 IN_MESSAGE = {"satellite_mass_kg": "mass_kg", "tether_length_m": "rest_length_m"}
 
@@ -27,7 +29,8 @@ def test_it_has_the_parameters_and_defaults_of_a_formation():
     signature = inspect.signature(formation).parameters
     expected = {name: p.default for name, p in signature.items() if name not in OTHERS}
     expected |= {p.name: p.default for p in LAW_PARAMETERS}
-    assert {p.name: p.default for p in FORMATION} == expected
+    lists = {p.name: list(expected[p.name]) for p in FORMATION if p.elements}
+    assert {p.name: p.default for p in FORMATION} == expected | lists
     assert names(FORMATION) == tuple(expected)
 
 
@@ -40,7 +43,11 @@ def with_law(parameter, value):
 @pytest.mark.parametrize("parameter", FORMATION, ids=lambda p: p.name)
 def test_the_core_builds_what_it_allows(parameter):
     ends = (parameter.minimum, parameter.maximum) if not parameter.choices else parameter.choices
-    for value in map(parameter.type, ends):
+    if parameter.name == "spin_axis":
+        allowed = ([1e-3, 0, 0], [0, 0, -1e9], (1.0, 2.0, 3.0))
+    else:
+        allowed = [[end] for end in ends] if parameter.elements else map(parameter.type, ends)
+    for value in allowed:
         system = formation("chain", **with_law(parameter, value))
         assert system.n >= 2
         if parameter.name in system.law_parameters:
@@ -82,6 +89,11 @@ def test_a_list_is_allowed_where_the_core_takes_one(parameter):
     # Three satellites on a line, two tethers of two segments and one bead each.
     elements = {"satellite": 3, "tether": 2, "tether or segment": 4, "tether or bead": 2, "": 1}
     given = {"satellites": 3, "beads_per_tether": 1}
+    if parameter.elements:
+        formation("chain", **{**given, parameter.name: parameter.default})
+        with pytest.raises(ValueError, match=parameter.name):
+            formation("chain", **{**given, parameter.name: [1.0]})
+        return
     value = [parameter.default] * elements[parameter.per_element]
     if parameter.per_element:
         formation("chain", **{**given, parameter.name: value})
@@ -97,8 +109,11 @@ def test_messages_give_the_same_quantity_in_the_same_unit(parameter):
     if name in {p.name for p in LAW_PARAMETERS}:
         # Those have their names and values in lists of their own.
         return
-    if name == "tether_law":
+    if name in ("tether_law", "epoch"):
         assert fields[name] == "string"
+        return
+    if name == "perturbations":
+        # Those that act are told by their own parameters.
         return
     if name not in fields:
         # How many there are follows from the lists of names.
@@ -106,9 +121,10 @@ def test_messages_give_the_same_quantity_in_the_same_unit(parameter):
         return
     folder = Path(get_package_share_directory("tss_interfaces")) / "msg"
     definition = (folder / "SystemDescription.msg").read_text()
-    (unit,) = re.findall(rf"^float64(?:\[\])? {name} +# \[([^]]+)\]", definition, re.MULTILINE)
+    (unit,) = re.findall(rf"^float64(?:\[3?\])? {name} +# \[([^]]+)\]", definition, re.MULTILINE)
     assert unit == parameter.unit
-    assert fields[name] == ("sequence<double>" if parameter.per_element else "double")
+    several = "double[3]" if parameter.elements else "sequence<double>"
+    assert fields[name] == (several if parameter.elements or parameter.per_element else "double")
     assert name == "spin_rate_ratio" or name in System.__dataclass_fields__
 
 
@@ -116,7 +132,7 @@ def test_shipped_scenarios_have_no_other_parameters():
     folder = Path(scenario.__file__).parent
     for path in folder.glob("*.yaml"):
         content = yaml.safe_load(path.read_text())
-        assert content.keys() <= {"description", "formation", *names(SCENARIO)}, path
+        assert content.keys() <= {"description", "formation", *BODIES, *names(SCENARIO)}, path
 
 
 def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_path):
@@ -128,8 +144,9 @@ def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_p
         "spin_rate_ratio: -2\n"
     )
     loaded = scenario.load(file)
-    laws = ("tether_law", *(p.name for p in LAW_PARAMETERS))
-    assert names(GRAPH) == ("orbit_altitude_m", *laws, "spin_rate_ratio")
+    every = ("orbit_altitude_m", "tether_law", "spin_axis", "perturbations")
+    laws = (p.name for p in LAW_PARAMETERS)
+    assert names(GRAPH) == (*every, *laws, "spin_rate_ratio", "epoch")
     assert loaded.build().orbit_altitude_m == 1e6
     assert loaded.build({"orbit_altitude_m": 400e3}).orbit_altitude_m == 400e3
     assert loaded.build({"tether_law": "tension_only"}).tether_law == "tension_only"
@@ -173,7 +190,9 @@ def test_tables_have_a_text_for_every_column():
         assert row["parameter"] == parameter.name and row["unit"] == parameter.unit
         assert row["meaning"].startswith(parameter.meaning) and "[" not in row["meaning"]
         assert all(row[title] for title in ("type", "allowed", "meaning"))
-        if parameter.default is not None:
+        if parameter.elements:
+            assert yaml.safe_load(row["default"]) == parameter.default
+        elif parameter.default is not None:
             assert parameter.type(row["default"]) == parameter.default
 
 

@@ -17,6 +17,8 @@ from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
+from tss_ros.core.model.laws.orbit import ELEMENTS
+from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.core.trajectory import FIGURES, TABLES
 from tss_ros.scenarios.scenario import read_text
@@ -60,8 +62,10 @@ def describe(recording: Recording) -> str:
     lines = [
         f"scenario      {r.scenario}: {r.is_satellite.sum()} satellites, {len(r.bead_name)} beads "
         f"in all, {len(r.tether_name)} tethers, {r.mass_kg.sum():g} kg",
-        f"orbit         {r.orbit_altitude_m / 1e3:g} km high, Omega {r.orbit_rate_rad_s:.6g} rad/s",
-        f"spin          {r.spin_rate_ratio:g} Omega, one turn {r.turn_s:.1f} s",
+        f"orbit         {r.orbit_altitude_m / 1e3:g} km high, Omega {r.orbit_rate_rad_s:.6g} rad/s"
+        + "".join(f", {name} {value:g}" for name, value in _orbit(r).items())
+        + (f", epoch {r.epoch}" if r.epoch else ""),
+        _spin(r),
         f"tether law    {law_in_words(r.tether_law, r.pushing_share)}",
         f"disturbance   {r.disturbance_m:g} m, seed {r.disturbance_seed}",
         f"run           {r.run} of {r.runs} in the bag"
@@ -93,6 +97,22 @@ def describe(recording: Recording) -> str:
     if r.versions:
         lines.append(f"simulated by  {', '.join(r.versions)}")
     return "\n".join(map(one_line, lines))
+
+
+def _orbit(r):
+    """The elements of the orbit that are not 0, by name."""
+    values = {p.name: r.system.law_parameters[p.name] for p in ELEMENTS}
+    return {name: value for name, value in values.items() if value}
+
+
+def _spin(r):
+    """The line that says how the formation turns."""
+    if not r.spin_rate_ratio:
+        return f"spin          none: it hangs; one orbit {r.turn_s:.1f} s"
+    line = f"spin          {r.spin_rate_ratio:g} Omega, one turn {r.turn_s:.1f} s"
+    if np.array_equal(r.spin_axis, ORBIT_NORMAL):
+        return line
+    return f"{line}, about {np.array2string(r.spin_axis, precision=4, separator=', ')}"
 
 
 def _of_motion(r):

@@ -15,6 +15,7 @@ from tss_ros.bags.older import UNSAID, completed
 from tss_ros.bags.reader import STAMP, STATES, BagContent, description_of, runs_of, times_ns
 from tss_ros.bags.records import DAMAGE, BagError
 from tss_ros.core import System, TssError
+from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.trajectory import SampledMotion
 
 
@@ -41,7 +42,12 @@ class Description:
     tether_law : str
         How taut tethers pull; the paper's law in bags that do not say.
     law_parameters : dict of str to float
-        What the laws of forces were given; those left out have their defaults.
+        What the laws of forces were given, and the elements of the orbit; those left out have
+        their defaults.
+    spin_axis : ndarray, shape (3,)
+        Axis of the spin in the orbit frame; its normal in bags that do not say.
+    epoch : str
+        UTC at simulation time 0; "" if not said.
     parameters : dict
         The simulator's parameters; empty in bags of other recorders.
     scenario_yaml : str
@@ -68,6 +74,8 @@ class Description:
     disturbance_seed: int
     tether_law: str = UNSAID["tether_law"]
     law_parameters: dict = field(default_factory=dict)
+    spin_axis: np.ndarray = field(default_factory=lambda: np.array(ORBIT_NORMAL))
+    epoch: str = ""
     parameters: dict = field(default_factory=dict)
     scenario_yaml: str = ""
     versions: tuple = ()
@@ -96,6 +104,8 @@ class Description:
                 raise TssError(f"SystemDescription: {f.name} is no list of texts")
         values["is_satellite"] = values["is_satellite"].astype(bool)
         values["tether_ends"] = values["tether_ends"].reshape(-1, 2).astype(int)
+        if not np.any(values.get("spin_axis")):
+            values.pop("spin_axis", None)
         named = getattr(message, "law_parameter_name", ())
         values["law_parameters"] = dict(zip(named, getattr(message, "law_parameter", ())))
         values["parameters"] = json.loads(getattr(message, "parameters_json", "") or "{}")
@@ -194,11 +204,12 @@ class Recording(SampledMotion, Description):
             found = getattr(self, name)
             if found.shape != shape or found.dtype.kind not in "fb":
                 raise TssError(f"{name} has shape {found.shape}, {found.dtype}; allowed: {shape}")
-        for name in ("orbit_rate_rad_s", "spin_rate_ratio", "publish_period_s"):
+        for name in ("orbit_rate_rad_s", "publish_period_s"):
             if not (math.isfinite(value := getattr(self, name)) and value):
                 raise TssError(f"{name} is {value}; allowed: finite, not 0")
-        if not math.isfinite(self.disturbance_m):
-            raise TssError(f"disturbance_m is {self.disturbance_m}; allowed: finite")
+        for name in ("spin_rate_ratio", "disturbance_m"):
+            if not math.isfinite(value := getattr(self, name)):
+                raise TssError(f"{name} is {value}; allowed: finite")
         self.system  # noqa: B018 - it checks the rest
 
     @property

@@ -4,7 +4,7 @@ from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssE
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
-from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
@@ -43,6 +43,7 @@ __all__ = [
     "METHODS",
     "SPECIAL_KINDS",
     "PARAMETERS",
+    "PERTURBATIONS",
     "TETHER_LAWS",
     "VERDICTS",
     "Cancelled",

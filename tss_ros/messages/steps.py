@@ -13,7 +13,7 @@ from tss_ros import core
 from tss_ros.core.model.forces import lengths_and_rates
 from tss_ros.messages.cdr import Layout, serialised
 from tss_ros.messages.topics import read_topics
-from tss_ros.scenarios.scenario import read_text
+from tss_ros.scenarios.scenario import epoch_of, read_text
 
 #: Name of the orbit frame.
 FRAME_ID = "orbit"
@@ -144,7 +144,7 @@ def system_description(
         "law_parameter_name": list(system.law_parameters),
         "law_parameter": list(system.law_parameters.values()),
         "orbit_altitude_m": system.orbit_altitude_m,
-        "epoch": options.get("epoch", ""),
+        "epoch": epoch_of(options["scenario"], options),
         "orbit_rate_rad_s": system.orbit_rate_rad_s,
         "spin_rate_ratio": spin_rate_ratio,
         "spin_axis": system.spin_axis,

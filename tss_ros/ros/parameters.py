@@ -38,6 +38,8 @@ class Parameter(scenario_parameters.Parameter):
 
     def check(self, value: object) -> object:
         """As of a scenario; a number like 3e-15, which ROS's tools take for text, fits too."""
+        if self.elements and value is None:
+            value = []  # what ROS makes of an empty list in a file
         if self.type is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
             value = float(value)
         return super().check(value)
@@ -51,7 +53,7 @@ class Parameter(scenario_parameters.Parameter):
             description=f"{self.text} {APPLIES[self.applies]}{unset}",
             additional_constraints=self.allowed,
             read_only=self.applies == "never",
-            dynamic_typing=bool(self.per_element),
+            dynamic_typing=bool(self.per_element or self.elements),
         )
         if self.minimum is not None and not self.per_element:
             if self.type is int:
@@ -69,6 +71,8 @@ class Parameter(scenario_parameters.Parameter):
         kind = _ROS_TYPES[self.type]
         if self.per_element:
             kind = f"{kind}, or {kind}[]: one per {self.per_element}"
+        elif self.elements:
+            kind = f"{kind}[]: {self.elements}"
         if self.default is None:
             default = "the scenario's"
         return name, kind, unit, default, self.applies, allowed, meaning

@@ -3,12 +3,14 @@
 import os
 import re
 import stat
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import yaml
 
 from tss_ros.core import TssError
+from tss_ros.core.errors import near_match
 
 #: Bounds of a YAML text: bytes, levels of lists and mappings, values with aliases written out, and
 #: digits of a number.
@@ -149,3 +151,20 @@ def _check_events(text, what):
             raise TssError(f"{what} nests deeper than {MAX_DEPTH} levels")
         if sizes[-1] > MAX_NODES:
             raise TssError(f"{what} repeats parts by aliases to more than {MAX_NODES} values")
+
+
+def check_keys(
+    where: str, entry: object, needed: Collection[str], optional: Collection[str] = ()
+) -> None:
+    """Refuse what is no mapping, has a key that is not known, or lacks one that is needed."""
+    if not isinstance(entry, dict):
+        raise TssError(f"{where} must be a mapping, got {entry!r}")
+    known = sorted({*needed, *optional})
+    for key in entry:
+        if key not in known:
+            raise TssError(
+                f"{where} has {key!r}; allowed are {', '.join(known)}{near_match(key, known)}"
+            )
+    for key in sorted(needed):
+        if key not in entry:
+            raise TssError(f"{where} lacks {key}")

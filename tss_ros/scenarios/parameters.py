@@ -11,7 +11,7 @@ import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, TssError
+from tss_ros.core import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS, TssError
 from tss_ros.core.errors import near_match
 
 #: Largest system, in satellites and tether beads together, that a node builds.
@@ -45,6 +45,10 @@ class Parameter:
         More about it, as a clause; "" for nothing.
     choices : tuple of str
         All that a text may be; empty where any will do.
+    elements : str
+        What the value is a list of, in words; "" for one value.
+    lengths : tuple of two int
+        Fewest and most elements of such a list.
     """
 
     name: str
@@ -57,6 +61,8 @@ class Parameter:
     per_element: str = ""
     note: str = ""
     choices: tuple[str, ...] = ()
+    elements: str = ""
+    lengths: tuple[int, int] = (1, MAX_BEADS)
 
     @property
     def text(self) -> str:
@@ -76,6 +82,8 @@ class Parameter:
     @property
     def allowed(self) -> str:
         """What is allowed, in words."""
+        if self.elements:
+            return f"a list of {self.elements}, each {self.allowed_value}"
         return self.allowed_value + (
             " for all, or a list with one for each" if self.per_element else ""
         )
@@ -84,6 +92,7 @@ class Parameter:
     def row(self) -> tuple[str, ...]:
         """What a table says of it: texts for the columns of `HEADING`."""
         several = f", or a list: one per {self.per_element}" if self.per_element else ""
+        several = f", a list of {self.elements}" if self.elements else several
         default = "" if self.default is None else _shown(self.default)
         kind = self.type.__name__ + several
         return self.name, kind, self.unit, default, self.allowed_value, self._sentence()
@@ -96,10 +105,15 @@ class Parameter:
         TssError
             Naming the parameter, the value and what is allowed.
         """
-        if not (self.per_element and isinstance(value, (list, array.array))):
+        several = isinstance(value, (list, tuple, array.array))
+        if self.elements and not several:
+            raise TssError(f"{self.name} is {value!r:.80}; allowed: {self.allowed}")
+        if not (several and (self.per_element or self.elements)):
             return self._check_one(self.name, value)
-        if not 1 <= len(value) <= MAX_BEADS:
-            raise TssError(f"{self.name} has {len(value)} elements; allowed: 1 to {MAX_BEADS}")
+        fewest, most = self.lengths
+        if not fewest <= len(value) <= most:
+            number = f"{fewest} to {most}" if fewest < most else f"{most}"
+            raise TssError(f"{self.name} has {len(value)} elements; allowed: {number}")
         return [self._check_one(f"{self.name}[{i}]", element) for i, element in enumerate(value)]
 
     def _sentence(self, unit=""):
@@ -120,20 +134,8 @@ class Parameter:
         return self.type(value)
 
 
-#: How taut tethers pull, and the numbers that the laws of the core need besides.
-LAWS = (
-    Parameter(
-        "tether_law", str, "How taut tethers pull",
-        default=TETHER_LAWS[0].name, choices=tuple(law.name for law in TETHER_LAWS),
-        note="; ".join(f"{law.name}: {law.meaning}" for law in TETHER_LAWS),
-    ),
-    *(
-        Parameter(p.name, float, p.meaning, p.unit, p.minimum, p.maximum, p.default, note=p.note)
-        for p in LAW_PARAMETERS
-    ),
-)  # fmt: skip
-#: Parameters of a formation, with the defaults of `tss_ros.core.formation`.
-FORMATION = (
+#: Parameters of a named formation alone, which spells out no bodies.
+_SHAPE = (
     Parameter(
         "satellites", int, "Number of satellites",
         minimum=2, maximum=MAX_BEADS, default=3,
@@ -169,22 +171,52 @@ FORMATION = (
         minimum=1e-6, maximum=1e9, default=10.0,
         per_element="tether or bead",
     ),
-    Parameter(
-        "orbit_altitude_m", float, "Height of the circular orbit", "m",
-        minimum=0.0, maximum=1e9, default=1.0e6,
-        note="above 6378 km",
-    ),
-    *LAWS,
 )  # fmt: skip
+#: Parameters of every system: its orbit, its axis, and the laws of its forces.
+_EVERY = (
+    Parameter(
+        "orbit_altitude_m", float, "Height of the orbit", "m",
+        minimum=0.0, maximum=1e9, default=1.0e6,
+        note="above 6378 km; of the perigee if the orbit is no circle",
+    ),
+    Parameter(
+        "tether_law", str, "How taut tethers pull",
+        default=TETHER_LAWS[0].name, choices=tuple(law.name for law in TETHER_LAWS),
+        note="; ".join(f"{law.name}: {law.meaning}" for law in TETHER_LAWS),
+    ),
+    Parameter(
+        "spin_axis", float, "Axis of the spin in the orbit frame: x against the flight, y up", "-",
+        default=[0.0, 0.0, 1.0], elements="components x, y, z", lengths=(3, 3),
+        note="of any length but zero; where the axis rests follows from masses and rate",
+    ),
+    Parameter(
+        "perturbations", str, "What disturbs the orbit", default=[], choices=tuple(PERTURBATIONS),
+        elements="laws", lengths=(0, len(PERTURBATIONS)),
+        note="; ".join(
+            f"{name}: {law.meaning}, {law.parameters[0].name} {law.typical:g} if not given"
+            for name, law in PERTURBATIONS.items()
+        ),
+    ),
+    *(
+        Parameter(p.name, float, p.meaning, p.unit, p.minimum, p.maximum, p.default, note=p.note)
+        for p in LAW_PARAMETERS
+    ),
+)  # fmt: skip
+#: Parameters of a formation, with the defaults of `tss_ros.core.formation`.
+FORMATION = (*_SHAPE, *_EVERY)
 SPIN_RATE_RATIO = Parameter(
     "spin_rate_ratio", float, "Spin rate over orbital rate in the orbit frame", "-",
     minimum=-1e4, maximum=1e4,
-    note="not zero, negative: clockwise",
+    note="negative: clockwise, 0: the formation hangs",
+)  # fmt: skip
+EPOCH = Parameter(
+    "epoch", str, "Date and time (UTC) at simulation time 0, as 2026-11-27T12:00:00Z",
+    default="", note="empty: not said",
 )  # fmt: skip
 #: Parameters of a scenario.
-SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
+SCENARIO = (*FORMATION, SPIN_RATE_RATIO, EPOCH)
 #: What of them a scenario has that spells out its bodies and tethers.
-GRAPH = tuple(p for p in SCENARIO if p in LAWS or p.name in ("orbit_altitude_m", "spin_rate_ratio"))
+GRAPH = (*_EVERY, SPIN_RATE_RATIO, EPOCH)
 #: What a run needs besides its scenario.
 PUBLISH_PERIOD = Parameter(
     "publish_period_s", float, "Simulated time between steps", "s",
@@ -207,7 +239,7 @@ TURNS = Parameter(
 )  # fmt: skip
 RUN = (PUBLISH_PERIOD, *DISTURBANCE, TURNS)
 #: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
-VARIED = FORMATION
+VARIED = tuple(parameter for parameter in FORMATION if not parameter.elements)
 
 
 def names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
@@ -224,8 +256,9 @@ def read_assignment(text: str) -> tuple[str, object]:
         If it is none of these.
     """
     name, _, values = text.partition("=")
-    if any(parameter.name == name and parameter.type is str for parameter in SCENARIO):
-        return name, values
+    if named := [p for p in SCENARIO if p.name == name and p.type is str]:
+        several = [word.strip() for word in values.strip("[] ").split(",") if word.strip()]
+        return name, several if named[0].elements else values
     try:
         numbers_given = [float(value) for value in values.strip("[]").split(",")]
     except ValueError:
@@ -247,4 +280,6 @@ def override(text: str) -> tuple[str, object]:
 def _shown(value):
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
     return f"{value:.12g}" if isinstance(value, (int, float)) else str(value)

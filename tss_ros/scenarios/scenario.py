@@ -18,6 +18,9 @@ any tether graph with `bodies` and `tethers`:
 
 Bodies may have a `velocity_m_s`, measured in the orbit frame, all of them or none. Then the motion
 starts from their positions and velocities instead of a steady state that is looked for.
+
+Instead of its elements the orbit may be given by `two_line_elements`, a list of two lines, or by
+`orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
 """
 
 import warnings
@@ -27,13 +30,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.configurations import InitialState
 from tss_ros.core.model.system import finite
-from tss_ros.scenarios import files
+from tss_ros.scenarios import files, orbits
 from tss_ros.scenarios.doubts import ImplausibleValue, doubts
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
@@ -113,6 +115,7 @@ class Scenario:
                     f" {', '.join(allowed)}{near_match(name, allowed)}"
                 )
         ratio = finite("spin_rate_ratio", values.pop("spin_rate_ratio"))
+        orbits.read_epoch(values.pop("epoch", ""))
         if self.formation == "graph":
             system = assemble(self._bodies, self._tethers, **values)
         else:
@@ -146,66 +149,6 @@ class Scenario:
         return InitialState(np.array(system.layout_m), of_beads, "the scenario's velocities")
 
 
-def given_start(
-    system: System, position_m: ArrayLike, velocity_m_s: ArrayLike, origin: str
-) -> InitialState:
-    """A start from the numbers that somebody gave.
-
-    Parameters
-    ----------
-    system : System
-    position_m, velocity_m_s : array
-        x, y, z of each bead, orbit frame [m] and [m/s], flat or a row for each bead.
-    origin : str
-        Where they come from, in words.
-
-    Returns
-    -------
-    InitialState
-
-    Raises
-    ------
-    TssError
-        If these are not as many finite numbers as the system needs.
-    """
-    arrays = []
-    for name, values in (("position_m", position_m), ("velocity_m_s", velocity_m_s)):
-        try:
-            array = np.array(values, dtype=float).ravel()
-        except (TypeError, ValueError):
-            raise TssError(f"{name} must be numbers, x, y, z of each bead") from None
-        if array.size != 3 * system.n:
-            raise TssError(
-                f"{name} has {array.size} numbers; allowed: {3 * system.n}, x, y, z of each of"
-                f" {system.n} beads"
-            )
-        if not np.isfinite(array).all():
-            bad = array[~np.isfinite(array)][0]
-            raise TssError(f"{name} holds {bad}; allowed: finite numbers")
-        arrays.append(array.reshape(-1, 3))
-    return InitialState(*arrays, origin)
-
-
-def read_start(path: str | Path, system: System) -> InitialState:
-    """A start from a YAML or JSON file with the keys `position_m` and `velocity_m_s`.
-
-    Parameters and errors as for `given_start`.
-    """
-    arrays = read_start_arrays(path)
-    try:
-        return given_start(system, *arrays, str(path))
-    except TssError as error:
-        raise TssError(f"start {str(path)!r}: {error}") from None
-
-
-def read_start_arrays(path: str | Path) -> tuple[list, list]:
-    """What such a file holds, positions and velocities, not checked against any system."""
-    where = f"start {str(path)!r}"
-    content = files.load_yaml(files.read_text(path), where)
-    _check_keys(where, content, {"position_m", "velocity_m_s"})
-    return content["position_m"], content["velocity_m_s"]
-
-
 def shipped() -> tuple[str, ...]:
     """Names of the scenarios that come with the package."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
@@ -224,6 +167,16 @@ def read_text(name_or_path: str | Path) -> str:
         return files.read_text(path)
     except TssError as error:
         raise TssError(f"scenario file {error}") from None
+
+
+def epoch_of(name_or_path: str | Path, overrides: dict[str, Any]) -> str:
+    """UTC at simulation time 0 of a scenario with overrides, "" if not said; errors as `load`."""
+    given = overrides.get("epoch")
+    if given is None:
+        content = files.load_yaml(read_text(name_or_path), f"scenario file {str(name_or_path)!r}")
+        given = _parse(str(name_or_path), content).parameters.get("epoch", "")
+    moment = orbits.read_epoch(given)
+    return orbits.epoch_text(moment) if moment else ""
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -268,7 +221,7 @@ def _parse(name, content):
         (*_ABOUT, *_PARAMETERS)
         if not graph
         else ("description", "bodies", "tethers", *_GRAPH_PARAMETERS)
-    )
+    ) + orbits.KEYS
     for key in content:
         if key not in known:
             raise TssError(
@@ -277,6 +230,9 @@ def _parse(name, content):
     if "spin_rate_ratio" not in content:
         raise TssError("spin_rate_ratio is missing")
     parameters = {key: content[key] for key in _PARAMETERS if key in content}
+    parameters |= orbits.given(content)
+    if moment := orbits.read_epoch(parameters.get("epoch", "")):
+        parameters["epoch"] = orbits.epoch_text(moment)
     description = " ".join(str(content.get("description", "")).split())
     if not graph:
         shape = content.get("formation", "ring")
@@ -303,20 +259,6 @@ def _entries(content, key):
     return entries
 
 
-def _check_keys(where, entry, needed, optional=frozenset()):
-    if not isinstance(entry, dict):
-        raise TssError(f"{where} must be a mapping, got {entry!r}")
-    known = sorted(needed | optional)
-    for key in entry:
-        if key not in known:
-            raise TssError(
-                f"{where} has {key!r}; allowed are {', '.join(known)}{near_match(key, known)}"
-            )
-    for key in sorted(needed):
-        if key not in entry:
-            raise TssError(f"{where} lacks {key}")
-
-
 def _check_names(key, given):
     name, count = Counter(given).most_common(1)[0]
     if count > 1:
@@ -326,7 +268,7 @@ def _check_names(key, given):
 
 def _body(i, entry):
     where = f"bodies[{i}]"
-    _check_keys(where, entry, _BODY, _BODY_OPTIONAL)
+    files.check_keys(where, entry, _BODY, _BODY_OPTIONAL)
     place = _vector(f"{where}.position_m", entry["position_m"])
     mass = finite(f"{where}.mass_kg", entry["mass_kg"], above=0.0)
     return Satellite(str(entry["name"]), mass, place)
@@ -356,7 +298,7 @@ def _velocities(entries):
 
 def _tether(i, entry, known_bodies):
     where = f"tethers[{i}]"
-    _check_keys(where, entry, _TETHER, _TETHER_OPTIONAL)
+    files.check_keys(where, entry, _TETHER, _TETHER_OPTIONAL)
     between = entry["between"]
     if not isinstance(between, list) or len(between) != 2:
         raise TssError(f"{where}.between must be two body names, got {between!r}")

@@ -29,7 +29,7 @@ from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
 from tss_ros.scenarios.parameters import read_assignment
-from tss_ros.scenarios.scenario import read_start_arrays
+from tss_ros.scenarios.starts import read_start_arrays
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
 GONE_S = 5.0

@@ -16,7 +16,7 @@ from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, State
 from tss_ros.core.stability.critical_rates import SLOWEST
 from tss_ros.ros import systems
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
-from tss_ros.scenarios.scenario import given_start
+from tss_ros.scenarios.starts import given_start
 
 #: What one request may ask for: systems of this many beads, and so much work. A rate counts as the
 #: cube of the beads, `CERTIFIED` times that if certified, and each turn of its simulation as twice

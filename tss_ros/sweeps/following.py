@@ -12,7 +12,7 @@ from pathlib import Path
 from tss_ros import plots
 from tss_ros.command_line import FIGURES, Parser, ProgressLine
 from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
-from tss_ros.scenarios import parameters, scenario
+from tss_ros.scenarios import parameters, scenario, starts
 from tss_ros.sweeps import families, software
 
 SPIN_RATE_RATIO = parameters.SPIN_RATE_RATIO.name
@@ -139,10 +139,10 @@ def _start(options, loaded, system):
     if options.start is None:
         return {"state": loaded.start(system)}
     if options.start.suffix != ".parquet":
-        return {"state": scenario.read_start(options.start, system)}
+        return {"state": starts.read_start(options.start, system)}
     state = families.start_from(options.start, options.parameter, options.first)
     where = str(options.start)
-    return {"state": scenario.given_start(system, state.position_m, state.velocity_m_s, where)}
+    return {"state": starts.given_start(system, state.position_m, state.velocity_m_s, where)}
 
 
 def _label(name):

@@ -227,12 +227,10 @@ def formation(
         One for all or one per tether.
     bead_mass_kg : float or sequence
         [kg] one for all, one per tether (of each of its beads), or one per bead.
-    orbit_altitude_m : float
-    linear_gravity, bilateral, tether_law, spin_axis, **law_parameters
-        See `System`.
-    perturbations : sequence of str
-        Names of `laws.PERTURBATIONS` that act, each with its typical strength where its own
-        parameter is not given.
+    orbit_altitude_m, linear_gravity, bilateral, tether_law, perturbations, **law_parameters
+        See `assemble`.
+    spin_axis : sequence of float
+        See `System`; the formation is built about it.
 
     Returns
     -------

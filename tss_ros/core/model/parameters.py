@@ -125,7 +125,7 @@ def named_perturbations(
         If there is no such perturbation, or its own parameter says that it does not act.
     """
     values = dict(law_parameters)
-    if isinstance(named, str) or not all(isinstance(name, str) for name in named):
+    if not isinstance(named, (list, tuple)) or not all(isinstance(name, str) for name in named):
         raise TssError(f"perturbations must be a list of names, got {named!r:.80}")
     for name in named:
         if name not in PERTURBATIONS:
