@@ -73,12 +73,10 @@ def assemble(
     ----------
     satellites : sequence of Satellite
     tethers : sequence of Tether
-    orbit_altitude_m : float
-    linear_gravity, bilateral, tether_law, spin_axis, **law_parameters
+    orbit_altitude_m, linear_gravity, bilateral, tether_law, spin_axis, **law_parameters
         See `System`.
     perturbations : sequence of str
-        Names of `laws.PERTURBATIONS` that act, each with its typical strength where its own
-        parameter is not given.
+        Names of `laws.PERTURBATIONS` that act, with typical strengths if no others are given.
 
     Returns
     -------
@@ -94,11 +92,9 @@ def assemble(
     cyclic = [t.ends for t in tethers] == [(i, (i + 1) % count) for i in range(count)]
     names, is_satellite, masses, places = [], [], [], []
 
-    def add(name, satellite, mass, place):
-        names.append(name)
-        is_satellite.append(satellite)
-        masses.append(mass)
-        places.append(place)
+    def add(*bead):
+        for values, value in zip((names, is_satellite, masses, places), bead):
+            values.append(value)
         return len(names) - 1
 
     def add_beads(tether):
@@ -257,13 +253,10 @@ def formation(
     bead_mass = _spread("bead_mass_kg", bead_mass_kg, {"tether": beads}, above=0.0)
     tethers = _tethers(graph, beads, (lengths, stiffness, damping), bead_mass)
     total = [math.fsum(tether.length_m) for tether in tethers]
-    places, names = _shape(shape, count, total)
-    turned = np.array(places) @ turn_to(unit_vector("spin_axis", spin_axis)).T
-    nodes = [Satellite(*node) for node in zip(names, mass, map(tuple, turned.tolist()))]
-    return assemble(
-        nodes, tethers, orbit_altitude_m, linear_gravity, bilateral, tether_law, spin_axis,
-        perturbations, **law_parameters
-    )  # fmt: skip
+    places, names = _shape(shape, count, total, unit_vector("spin_axis", spin_axis))
+    nodes = [Satellite(*node) for node in zip(names, mass, places)]
+    chosen = linear_gravity, bilateral, tether_law, spin_axis, perturbations
+    return assemble(nodes, tethers, orbit_altitude_m, *chosen, **law_parameters)
 
 
 def ring(
@@ -330,8 +323,8 @@ def _graph(shape, n):
     return loop + [(i, n) for i in range(n)] + [(i, n + 1) for i in range(n)]
 
 
-def _shape(shape, n, total):
-    """Nominal places [m] and names; satellite 1 on the y axis as in Eq. (50)."""
+def _shape(shape, n, total, axis):
+    """Nominal places [m] and names; about z satellite 1 is on the y axis as in Eq. (50)."""
     angle = math.pi / 2 + 2.0 * math.pi * np.arange(n) / n
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
     names = [f"satellite_{i + 1}" for i in range(n)]
@@ -355,7 +348,7 @@ def _shape(shape, n, total):
             height = math.sqrt(slant**2 - radius**2)
             places = np.concatenate([places, [[0.0, 0.0, height], [0.0, 0.0, -height]]])
             names = [*names, "apex_up", "apex_down"]
-    return [tuple(place) for place in places], names
+    return [tuple(place) for place in (np.array(places) @ turn_to(axis).T).tolist()], names
 
 
 def _whole(name, value, least, most):
