@@ -234,7 +234,7 @@ def parameters():
         text += f"\n## {node}\n\n| parameter | meaning | type, range | default | changes |\n"
         text += "|---|---|---|---|---|\n"
         for p in entries:
-            kind = kinds[p.type] + ("(s)" if p.per_element else "")
+            kind = kinds[p.type] + ("(s)" if p.per_element else "[]" if p.elements else "")
             kind += "" if p.minimum is None else f", {p.minimum:g} to {p.maximum:g}"
             kind += f": {', '.join(f'`{choice}`' for choice in p.choices)}" if p.choices else ""
             default = "scenario's" if p.default is None else f"`{p.default!r}`"
