@@ -7,6 +7,9 @@ z axis and rotates at the spin rate omega against it. With rho the position ther
 
 g being the laws of `laws.BEAD_LAWS`, which take in the centrifugal force of the orbital motion. A
 spinning formation is nearly at rest in this frame, and setting omega = 0 gives the orbit frame.
+
+On an orbit that is no circle the frame turns just so, Omega being the mean rate, and the direction
+and distance of the Earth change in it (`model.sky`).
 """
 
 import math
@@ -17,15 +20,18 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
+    acceleration_of_bead_in_sky,
     bead_acceleration,
     bead_jacobian,
     energy_of_arrays,
+    jacobian_of_bead_in_sky,
     tension,
     tension_and_slope,
     tension_and_slope_of_arrays,
 )
+from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
-from tss_ros.core.numerics.simd import leaf, python_kernel
+from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
 
 
 @leaf
@@ -35,6 +41,43 @@ def _tether(v, r, i, j):
     length = math.sqrt(ex * ex + ey * ey + ez * ez)
     closing = ex * (v[i, 0] - v[j, 0]) + ey * (v[i, 1] - v[j, 1]) + ez * (v[i, 2] - v[j, 2])
     return ex, ey, ez, length, closing / length
+
+
+@kernel
+def _accelerate_in_sky(arrays, time, v, r, a):
+    """Accelerations (n, 3) of the beads without tethers, on an orbit that is no circle.
+
+    The laws have n^2 of the orbit's centrifugal force in them, n now; the frame turns evenly.
+    """
+    sky, turning = sky_at(arrays, time), arrays.rate + arrays.spin
+    centrifugal = turning * turning - sky[MEAN_MOTION] * sky[MEAN_MOTION]
+    for i in range(r.shape[0]):
+        x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
+        gx, gy, gz = acceleration_of_bead_in_sky(arrays, x, y, z, vx, vy, vz, sky, turning)
+        fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
+        a[i, 0] = gx + fx
+        a[i, 1] = gy + fy
+        a[i, 2] = gz
+
+
+@inlined
+def _linearise_inertia(arrays, centrifugal, turning, by_r, by_v):
+    """Derivatives (3, 3) of inertia. It is linear: they are what it makes of unit vectors."""
+    by_r[0, 0], by_r[1, 0] = inertia(1.0, 0.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
+    by_r[0, 1], by_r[1, 1] = inertia(0.0, 1.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
+    by_v[0, 1], _ = inertia(0.0, 0.0, 0.0, 1.0, centrifugal, 2.0 * turning, arrays.drive)
+    _, by_v[1, 0] = inertia(0.0, 0.0, 1.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
+
+
+@kernel
+def _linearise_in_sky(arrays, time, v, r, by_r, by_v):
+    """Derivatives of `_accelerate_in_sky`, into the diagonal blocks (3, 3) of zeros."""
+    sky, turning = sky_at(arrays, time), arrays.rate + arrays.spin
+    centrifugal = turning * turning - sky[MEAN_MOTION] * sky[MEAN_MOTION]
+    for i in range(r.shape[0]):
+        _linearise_inertia(arrays, centrifugal, turning, by_r[i], by_v[i])
+        x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
+        jacobian_of_bead_in_sky(arrays, x, y, z, vx, vy, vz, sky, turning, by_r[i], by_v[i])
 
 
 @python_kernel
@@ -53,16 +96,19 @@ def acceleration(arrays, taut, time, v, r, a):
     a : ndarray, shape (n, 3)
         Overwritten with the accelerations [m/s^2].
     """
-    upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
-    centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
-    turning = arrays.rate + arrays.spin
-    for i in range(r.shape[0]):
-        x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
-        gx, gy, gz = bead_acceleration(arrays, x, y, z, vx, vy, vz, upx, upy, turning)
-        fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
-        a[i, 0] = gx + fx
-        a[i, 1] = gy + fy
-        a[i, 2] = gz
+    if arrays.orbit_starts.size > 0:
+        _accelerate_in_sky(arrays, time, v, r, a)
+    else:
+        upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
+        centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
+        turning = arrays.rate + arrays.spin
+        for i in range(r.shape[0]):
+            x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
+            gx, gy, gz = bead_acceleration(arrays, x, y, z, vx, vy, vz, upx, upy, turning)
+            fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
+            a[i, 0] = gx + fx
+            a[i, 1] = gy + fy
+            a[i, 2] = gz
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -93,23 +139,18 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     by_r, by_v : ndarray, shape (at least n + 2m, 3, 3)
         Overwritten: da/dr [1/s^2] and da/dv [1/s]; block i < n is the diagonal one of bead i.
     """
-    upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
-    centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
-    turning = arrays.rate + arrays.spin
     by_r[:] = 0.0
     by_v[:] = 0.0
-    for i in range(r.shape[0]):
-        # Inertia is linear: its derivatives are what it makes of unit vectors.
-        by_r[i, 0, 0], by_r[i, 1, 0] = inertia(
-            1.0, 0.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive
-        )
-        by_r[i, 0, 1], by_r[i, 1, 1] = inertia(
-            0.0, 1.0, 0.0, 0.0, centrifugal, 2.0 * turning, arrays.drive
-        )
-        by_v[i, 0, 1], _ = inertia(0.0, 0.0, 0.0, 1.0, centrifugal, 2.0 * turning, arrays.drive)
-        _, by_v[i, 1, 0] = inertia(0.0, 0.0, 1.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
-        x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
-        bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
+    if arrays.orbit_starts.size > 0:
+        _linearise_in_sky(arrays, time, v, r, by_r, by_v)
+    else:
+        upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
+        centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
+        turning = arrays.rate + arrays.spin
+        for i in range(r.shape[0]):
+            _linearise_inertia(arrays, centrifugal, turning, by_r[i], by_v[i])
+            x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
+            bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]

@@ -6,7 +6,7 @@ import numpy as np
 
 from tss_ros.core.model.laws import LAW_PARAMETERS
 from tss_ros.core.model.made import TENSION_INDEX
-from tss_ros.core.model.system import System
+from tss_ros.core.model.system import MU_EARTH, System
 
 
 class KernelArrays(NamedTuple):
@@ -36,6 +36,18 @@ class KernelArrays(NamedTuple):
         Which of `laws.BEAD_LAWS` act, one bit each.
     constants : tuple of float
         Values of `laws.LAW_PARAMETERS`.
+    orbit_starts : ndarray, shape (k + 1,)
+        [s] where the pieces of the orbit's table begin, and where the last one ends; empty on a
+        circle, which needs no table.
+    orbit_table : ndarray, shape (k, degree + 1, 3)
+        [m] polynomials of the centre's place from the Earth's, in axes fixed among the stars that
+        are those of the orbit frame at time 0, by a time from -1 to 1 in each piece.
+    orbit_period, orbits_per_s : float
+        [s] after which the table serves again, and 1 over it; 0 if it does not.
+    mu : float
+        [m^3/s^2] of the Earth.
+    pole, sun : tuple of float
+        Unit vectors to the north and to the Sun, in the same axes.
     """
 
     ends: np.ndarray
@@ -53,10 +65,17 @@ class KernelArrays(NamedTuple):
     tension: int
     acting: int
     constants: tuple[float, ...]
+    orbit_starts: np.ndarray
+    orbit_table: np.ndarray
+    orbit_period: float
+    orbits_per_s: float
+    mu: float
+    pole: tuple[float, float, float]
+    sun: tuple[float, float, float]
 
 
 def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
-    """Lay a `System` out for the kernels.
+    """Lay a `System` out for the kernels, on a circle; `orbits.ReferenceOrbit` knows others.
 
     Parameters
     ----------
@@ -84,4 +103,11 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         tension=TENSION_INDEX[system.tether_law],
         acting=sum(1 << i for i, acts in enumerate(system.acting) if acts),
         constants=tuple(system.law_parameters[p.name] for p in LAW_PARAMETERS),
+        orbit_starts=np.empty(0),
+        orbit_table=np.empty((0, 0, 3)),
+        orbit_period=0.0,
+        orbits_per_s=0.0,
+        mu=MU_EARTH,
+        pole=(0.0, 0.0, 1.0),
+        sun=(0.0, 0.0, 0.0),
     )

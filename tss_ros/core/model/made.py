@@ -7,6 +7,7 @@ Every function here is a piece to be inlined into the kernels of `forces`, `tayl
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from tss_ros.core.model.laws.contract import BeadLaw, Moving, Stretched, TetherL
 from tss_ros.core.numerics import simd
 from tss_ros.core.numerics.expressions import (
     Expression,
+    add,
     as_number,
     derivative,
     distributed,
@@ -44,6 +46,12 @@ _CONSTANT_SOURCES = {
 }
 _R, _V = (tuple(symbol(name) for name in names) for names in (("x", "y", "z"), ("vx", "vy", "vz")))
 _UP = (symbol("upx", varies=False), symbol("upy", varies=False))
+#: What `sky.sky_at` tells of the centre of an orbit that is no circle, in its order.
+_SKY = tuple(
+    symbol(f"sky_{name}", varies=False)
+    for name in ("ux", "uy", "uz", "radius", "mean_motion", "climb", "vx", "vy", "vz",
+                 "px", "py", "pz", "sx", "sy", "sz")
+)  # fmt: skip
 _RADIUS, _MEAN_MOTION, _TURNING, _RATE = (
     symbol(name, varies=False) for name in ("radius", "mean_motion", "turning", "orbit_rate")
 )
@@ -72,9 +80,28 @@ def tension_of(law: TetherLaw) -> Expression:
 
 
 def acceleration_of(law: BeadLaw, up: tuple) -> tuple[Expression, ...]:
-    """Acceleration of a law as expressions of x, y, z, vx, vy, vz, with `up` as given."""
-    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING, _RATE)
+    """Acceleration of a law on a circle, of x, y, z, vx, vy, vz, with `up` as given."""
+    going = _RADIUS * _RATE
+    centre, pole = (-going * up[1], going * up[0], add(0.0)), (0.0, 0.0, 1.0)
+    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING, add(0.0), centre, pole, sun=())
     return tuple(law.acceleration(moving, **_own(law)))
+
+
+def acceleration_in_sky(law: BeadLaw) -> tuple[Expression, ...]:
+    """Acceleration of a law on any orbit, of x, y, z, vx, vy, vz and what `sky.sky_at` tells.
+
+    Of the orbit's centrifugal force it has n^2 (x, y, 0) with gravity, and nothing else.
+    """
+    radius, mean_motion, climb = _SKY[3:6]
+    centre, pole, sun = _SKY[6:9], _SKY[9:12], _SKY[12:15]
+    moving = Moving(
+        _R, _V, _SKY[:3], radius, mean_motion, _TURNING, climb, centre, pole, sun
+    )  # fmt: skip
+    x, y, z = law.acceleration(moving, **_own(law))
+    if law.orbit is None:
+        return x, y, z
+    share = law.orbit(radius, **_own(law)) * mean_motion**2
+    return x - share * _R[0], y - share * _R[1], z
 
 
 # -- functions of values ---------------------------------------------------------------------------
@@ -129,11 +156,12 @@ energy_of_arrays = _tether_function(
 
 _BEAD_VALUE = "arrays, x, y, z, vx, vy, vz, upx, upy, turning"
 _LEVEL_UP = (*_UP, 0.0)
+_SKY_VALUE = "arrays, x, y, z, vx, vy, vz, sky, turning"
+_CIRCLE_LAWS = tuple(law for law in BEAD_LAWS if not law.feels_stars)
 
 
-def _entries(law, up, by):
+def _entries(law, a, by):
     """Derivatives that make up a law's Jacobian, by place; those that are always zero left out."""
-    a = acceleration_of(law, up)
     symmetric = law.from_potential
     found = {
         (p, q): derivative(a[p], by[q]) for p in range(3) for q in range(p if symmetric else 0, 3)
@@ -146,28 +174,33 @@ def _mirrored(law, place):
     return {place, place[::-1]} if law.from_potential else {place}
 
 
+def _of_laws(name, arguments, contribution, laws, names, zero="", more=()):
+    """A function that lets the acting ones of some laws contribute, as `_of_all_laws`."""
+    lines = [f"def {name}({arguments}):"]
+    lines += [f"{INDENT}ax = ay = az = {zero}"] if zero else []
+    for law in laws:
+        functions, own = contribution(law)
+        names |= functions
+        if not own:  # a law whose derivatives are zero everywhere
+            continue
+        lines.append(f"{INDENT}if arrays.acting & {1 << BEAD_LAWS.index(law)}:")
+        lines += [2 * INDENT + line for line in own]
+    lines += [*more, f"{INDENT}return ax, ay, az"] if zero else more
+    return compiled_source(name, "\n".join(lines) + "\n", names)
+
+
 def _of_all_laws(name, arguments, contribution, zero=""):
     """A function that lets every acting law contribute, given a law's functions and lines.
 
     With a `zero`, these add to ax, ay, az, which begin there and are returned. The first law, which
     nearly always acts, is inlined; the others are called.
     """
-    begin = [f"{INDENT}ax = ay = az = {zero}"] if zero else []
-    end = [f"{INDENT}return ax, ay, az"] if zero else []
 
     def define(name, laws, names, more=()):
-        lines = [f"def {name}({arguments}):", *begin]
-        for law in laws:
-            functions, own = contribution(law)
-            names |= functions
-            if not own:  # a law whose derivatives are zero everywhere
-                continue
-            lines.append(f"{INDENT}if arrays.acting & {1 << BEAD_LAWS.index(law)}:")
-            lines += [2 * INDENT + line for line in own]
-        return compiled_source(name, "\n".join([*lines, *more, *end]) + "\n", names)
+        return _of_laws(name, arguments, contribution, laws, names, zero, more)
 
     others = f"{name}_others"
-    kernel = simd.uncached(define(others, BEAD_LAWS[1:], dict(_LANES)))
+    kernel = simd.uncached(define(others, _CIRCLE_LAWS[1:], dict(_LANES)))
     lines = [f"{INDENT}if arrays.acting > 1:"]
     if zero:
         lines += [f"{2 * INDENT}dx, dy, dz = {others}({arguments})", f"{2 * INDENT}{_ADD}"]
@@ -179,30 +212,38 @@ def _of_all_laws(name, arguments, contribution, zero=""):
 _ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 
-def _bead_function(law, name, outputs):
+def _bead_function(law, name, outputs, value=_BEAD_VALUE):
     inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
+    inputs |= {s: f"sky[{i}]" for i, s in enumerate(_SKY)}
     # Short functions that are called together are compiled together.
-    decorate = simd.leaf if law is BEAD_LAWS[0] else simd.inlined
-    return {name: decorate(function_of(name, _BEAD_VALUE, inputs, outputs, _SCALARS))}
+    decorate = simd.leaf if law is BEAD_LAWS[0] and value == _BEAD_VALUE else simd.inlined
+    return {name: decorate(function_of(name, value, inputs, outputs, _SCALARS))}
 
 
-def _acceleration(law):
-    name = f"acceleration_{law.name}"
-    lines = [f"dx, dy, dz = {name}({_BEAD_VALUE})", _ADD]
-    return _bead_function(law, name, acceleration_of(law, _LEVEL_UP)), lines
+#: How laws are seen: a prefix for names, arguments, and the acceleration by a law.
+_ON_CIRCLE = "", _BEAD_VALUE, lambda law: acceleration_of(law, _LEVEL_UP)
+_IN_SKY = "sky_", _SKY_VALUE, acceleration_in_sky
 
 
-def _jacobian(law):
-    functions, lines = {}, []
+def _acceleration(law, seen=_ON_CIRCLE):
+    prefix, arguments, of = seen
+    name = f"{prefix}acceleration_{law.name}"
+    lines = [f"dx, dy, dz = {name}({arguments})", _ADD]
+    return _bead_function(law, name, of(law), arguments), lines
+
+
+def _jacobian(law, seen=_ON_CIRCLE):
+    functions, lines, (prefix, arguments, of) = {}, [], seen
+    a = of(law)
     for matrix, by in (("by_r", _R), ("by_v", _V)):
-        entries = _entries(law, _LEVEL_UP, by)
+        entries = _entries(law, a, by)
         if not entries:
             continue
         if matrix == "by_v" and not law.by_velocity:
             raise ValueError(f"bead law {law.name!r} depends on the velocity: say by_velocity=True")
-        name = f"{matrix}_{law.name}"
-        functions |= _bead_function(law, name, entries.values())
-        lines.append(f"d = {name}({_BEAD_VALUE})")
+        name = f"{prefix}{matrix}_{law.name}"
+        functions |= _bead_function(law, name, entries.values(), arguments)
+        lines.append(f"d = {name}({arguments})")
         for k, place in enumerate(entries):
             value = f"d[{k}]" if len(entries) > 1 else "d"
             lines += [f"{matrix}[{p}, {q}] += {value}" for p, q in sorted(_mirrored(law, place))]
@@ -213,6 +254,14 @@ def _jacobian(law):
 bead_acceleration = _of_all_laws("bead_acceleration", _BEAD_VALUE, _acceleration, zero="0.0")
 #: Adds its derivatives by position and velocity to matrices (3, 3).
 bead_jacobian = _of_all_laws("bead_jacobian", f"{_BEAD_VALUE}, by_r, by_v", _jacobian)
+#: The same on orbits that are no circles.
+acceleration_of_bead_in_sky, jacobian_of_bead_in_sky = (
+    simd.uncached(_of_laws(name, arguments, partial(of, seen=_IN_SKY), BEAD_LAWS, {**_LANES}, zero))
+    for name, arguments, of, zero in (
+        ("bead_acceleration_in_sky", _SKY_VALUE, _acceleration, "0.0"),
+        ("bead_jacobian_in_sky", f"{_SKY_VALUE}, by_r, by_v", _jacobian, ""),
+    )
+)
 
 # -- Taylor series ---------------------------------------------------------------------------------
 
@@ -292,7 +341,7 @@ _BEAD_PROGRAMS = {
     law.name: SeriesProgram(
         _BEAD_INPUTS, _ROUND_ORBIT, dict(zip("xyz", acceleration_of(law, _UPRIGHT)))
     )
-    for law in BEAD_LAWS
+    for law in _CIRCLE_LAWS
 }
 BEAD_SLOTS = _lie_together(_BEAD_PROGRAMS.values())
 _BEAD_SERIES = "arrays, r, three, room, at, k"
@@ -319,13 +368,13 @@ def _gradient_program(law):
     entries = {
         (matrix, *place): entry
         for matrix, by in (("by_r", _R), ("by_v", _V))
-        for place, entry in _entries(law, _UPRIGHT, by).items()
+        for place, entry in _entries(law, acceleration_of(law, _UPRIGHT), by).items()
     }
     outputs = {f"{matrix}{p}{q}": entry for (matrix, p, q), entry in entries.items()}
     return entries, SeriesProgram(_BEAD_INPUTS | known, _ROUND_ORBIT, outputs)
 
 
-_GRADIENT_PROGRAMS = {law.name: _gradient_program(law) for law in BEAD_LAWS}
+_GRADIENT_PROGRAMS = {law.name: _gradient_program(law) for law in _CIRCLE_LAWS}
 GRADIENT_SLOTS = _lie_together([program for _, program in _GRADIENT_PROGRAMS.values()])
 _GRADIENT_SERIES = "arrays, r, three, nodes, from_, room, at, k"
 

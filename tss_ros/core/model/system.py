@@ -291,14 +291,19 @@ class System(Presented):
 
     @cached_property
     def on_circle(self) -> bool:
-        """Whether the centre's orbit stays a circle in a plane, so that the orbit frame is at rest.
-
-        Then forces in it do not depend on time. It is not so on an ellipse, and not on an orbit
-        that is inclined against the equator of an oblate Earth.
-        """
+        """Whether the centre's orbit stays a circle: no ellipse, nor inclined with J2."""
         inclined = self.law_parameters["inclination_deg"] not in (0.0, 180.0)
         return self.law_parameters["eccentricity"] == 0.0 and not (
             inclined and self.law_parameters["j2"]
+        )
+
+    @cached_property
+    def autonomous(self) -> bool:
+        """Whether forces in the orbit frame do not depend on time."""
+        inclination = self.law_parameters["inclination_deg"]
+        felt = {"axis": inclination not in (0.0, 180.0), "sense": inclination != 0.0}
+        return self.on_circle and not any(
+            law.feels_stars or felt.get(law.feels_pole) for law in self.acting_laws
         )
 
     @cached_property

@@ -11,6 +11,7 @@ import numpy as np
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.orbits import ReferenceOrbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.compilation import compile_ahead
@@ -25,6 +26,8 @@ STAGES = 7
 INTEGRATORS = {"radau": IMPLICIT, "taylor": EXPLICIT, "auto": BOTH}
 #: First implicit step size to try, in turns.
 FIRST_STEP = 1e-3
+#: Steps made on one table of an orbit that never repeats.
+STEPS_ON_TABLE = 40
 #: Most slack/taut switches in one turn before a motion counts as chattering.
 MOST_SWITCHES_PER_TURN = 20_000
 
@@ -68,9 +71,21 @@ class Integrator:
                 f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r:.80}"
             )
         self.system, self.rtol, self.spin = system, rtol, spin_rate_rad_s
-        self.arrays = kernel_arrays(system, system.turning_rad_s(spin_rate_rad_s))
+        turning = system.turning_rad_s(spin_rate_rad_s)
+        #: Of the formation's centre, where forces in the orbit frame depend on time.
+        self.orbit = None if system.autonomous else ReferenceOrbit(system)
+        self.arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
+        kind = INTEGRATORS[integrator]
+        if self.orbit:
+            if kind == EXPLICIT:
+                raise TssError(
+                    f"integrator {integrator!r} needs forces that rest in the orbit frame, but"
+                    f" {why_not_autonomous(system)}: choose 'auto' or 'radau'"
+                )
+            kind = IMPLICIT
         self.symbolic = block_lu.analyse(system.n, system.tether_ends)
         self.tables = radau_tables.radau(stages)
+        self._table = None
         self._no_samples = self.samples(np.empty(0))
         rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
         self.turn_s = 2.0 * math.pi / rate
@@ -84,7 +99,7 @@ class Integrator:
             length=float(length_m),
             speed=float(length_m * rate),
             longest=self.turn_s / 4,
-            kind=INTEGRATORS[integrator],
+            kind=kind,
             order=order,
             explicit_tolerance=rtol,
             bound=math.exp(math.lgamma(order + 1) / order),
@@ -114,6 +129,8 @@ class Integrator:
             )
         if not (np.isfinite(r).all() and np.isfinite(v).all()):
             raise TssError("positions and velocities must be finite, got NaN or infinity")
+        if self.orbit:
+            v = self.orbit.into_even_frame(v, r)
         first_step = FIRST_STEP * self.turn_s
         motion = integrate.begin(self.arrays, self.tables, self.settings, v, r, first_step)
         compile_ahead(
@@ -153,9 +170,12 @@ class Integrator:
         states = np.stack([velocity_m_s, position_m], axis=1).astype(float, copy=False)
         if not (np.isfinite(states).all() and math.isfinite(stop)):
             raise TssError("positions, velocities and the time must be finite")
-        motion = self.begin(State(states[0, 1], states[0, 0]))
+        motion, arrays = self.begin(State(states[0, 1], states[0, 0])), self.arrays
+        if self.orbit:
+            states[:, 0] = self.orbit.into_even_frame(states[:, 0], states[:, 1])
+            arrays = self._on_table(0.0, stop)
         k, status = integrate.advance_each(
-            self.arrays,
+            arrays,
             self.symbolic,
             self.tables,
             self.settings,
@@ -165,7 +185,13 @@ class Integrator:
             states,
         )
         _check(status, motion, f"motion {k}")
-        return Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
+        end = Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
+        if self.orbit:
+            moved = self.orbit.out_of_even_frame(
+                end.times, *(x.reshape(1, -1, 3) for x in (end.v, end.r))
+            )
+            end.v[:], end.r[:] = (x.reshape(end.v.shape) for x in moved)
+        return end
 
     def advance(
         self,
@@ -197,17 +223,42 @@ class Integrator:
         """
         if samples is None:
             samples = self._no_samples
-        status = integrate.advance(
-            self.arrays,
-            self.symbolic,
-            self.tables,
-            self.settings,
-            motion,
-            (float(stop), steps, MOST_SWITCHES_PER_TURN),
-            samples,
-        )
+        arrays, some, status = self.arrays, steps, integrate.PAUSED
+        while status == integrate.PAUSED and steps > 0:
+            if self.orbit and not self.orbit.repeats:
+                some = min(steps, STEPS_ON_TABLE)
+                last = motion.time + 1.1 * some * self.settings.longest
+                arrays = self._on_table(motion.time, min(last, stop))
+            sampled = motion.progress["sampled"][0]
+            status = integrate.advance(
+                arrays,
+                self.symbolic,
+                self.tables,
+                self.settings,
+                motion,
+                (float(stop), some, MOST_SWITCHES_PER_TURN),
+                samples,
+            )
+            if self.orbit:
+                self._leave(samples, slice(sampled, motion.progress["sampled"][0]))
+            steps -= some
         _check(status, motion, "the motion")
         return status == integrate.REACHED
+
+    def _on_table(self, first, last):
+        """The arrays with the orbit's table between two times [s], if it is not the same always."""
+        if self.orbit.repeats:
+            return self.arrays
+        table = self._table
+        if not (table and table[0] <= first and last <= table[1]):
+            # Anew, not changed: other threads may be on the old one.
+            self._table = table = first, last, self.orbit.with_table(self.arrays, first, last)
+        return table[2]._replace(drive=self.arrays.drive)
+
+    def _leave(self, samples, part):
+        """Take samples that the kernels have just written to the orbit frame."""
+        v, r = self.orbit.out_of_even_frame(samples.times[part], samples.v[part], samples.r[part])
+        samples.v[part], samples.r[part] = v, r
 
     @property
     def period_s(self) -> float:

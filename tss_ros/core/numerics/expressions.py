@@ -203,6 +203,13 @@ def dot(a: tuple, b: tuple) -> Expression:
     return add(*(multiply(x, y) for x, y in zip(a, b)))
 
 
+def cross(a: tuple, b: tuple) -> tuple[Expression, Expression, Expression]:
+    """Vector product."""
+    return tuple(
+        add(multiply(a[i], b[j]), multiply(-1.0, a[j], b[i])) for i, j in ((1, 2), (2, 0), (0, 1))
+    )
+
+
 def parts(expression: Expression) -> tuple[Expression, ...]:
     """What an expression is made of directly."""
     if isinstance(expression, Sum):

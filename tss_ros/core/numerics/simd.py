@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -16,7 +17,14 @@ from numba.core import cgutils
 from numba.core.registry import CPUDispatcher
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+from numba.extending import (
+    intrinsic,
+    lower_builtin,
+    lower_cast,
+    models,
+    overload,
+    register_model,
+)
 
 from tss_ros.core.fingerprint import KERNELS, fingerprint
 
@@ -199,6 +207,42 @@ def lane(_, x, index):
         return builder.extract_element(args[0], args[1])
 
     return types.float64(LANES, types.intp), code
+
+
+@intrinsic
+def side_by_side(_, a, b, c, d):
+    """Tuples of numbers as one tuple of lanes."""
+    kind = types.UniTuple(LANES, a.count)
+
+    def code(context, builder, sig, args):
+        values = []
+        for k in range(a.count):
+            value = ir.Constant(VECTOR, ir.Undefined)
+            for i, one in enumerate(args):
+                at = ir.Constant(ir.IntType(32), i)
+                value = builder.insert_element(value, builder.extract_value(one, k), at)
+            values.append(value)
+        return context.make_tuple(builder, kind, values)
+
+    return kind(a, b, c, d), code
+
+
+def lane_by_lane(function: CPUDispatcher) -> Callable:
+    """A kernel (arrays, number), which returns a tuple of numbers, that takes lanes as well."""
+
+    def stands_for(arrays, x):
+        raise TypeError("to be called by compiled code only")
+
+    @overload(stands_for, jit_options={"nogil": True, "error_model": "numpy", **_NO_ALLOCATION})
+    def choose(arrays, x):
+        if not isinstance(x, Lanes):
+            return lambda arrays, x: function(arrays, x)
+        return lambda arrays, x: side_by_side(
+            function(arrays, lane(x, 0)), function(arrays, lane(x, 1)),
+            function(arrays, lane(x, 2)), function(arrays, lane(x, 3)),
+        )  # fmt: skip
+
+    return stands_for
 
 
 @intrinsic

@@ -94,15 +94,24 @@ class Moving:
     position, velocity : tuple of Expression
         [m] and [m/s] in that frame.
     up : tuple of Expression
-        Unit vector away from the Earth at the centre; the z axis is the orbit normal.
+        Unit vector away from the Earth at the centre.
     radius : Expression
-        R [m] of the orbit.
+        R [m], the centre's distance from the Earth's now.
     mean_motion : Expression
-        n = sqrt(mu / R^3) [rad/s], the rate of a circular orbit round a round Earth.
+        n = sqrt(mu / R^3) [rad/s], the rate of a circular orbit of this radius round a round Earth.
     turning : Expression
         [rad/s] how fast the frame turns about z, against the stars.
-    rate : Expression
-        Omega [rad/s], how fast the centre goes round the Earth, and `up` turns.
+    climb : Expression
+        [m] height of the centre above `System.orbit_altitude_m`; 0 on a circle.
+    centre_velocity : tuple of Expression
+        [m/s] of the centre against the stars, along the axes of the frame.
+    pole : tuple of Expression
+        Unit vector along the axis of the Earth, to the north.
+    sun : tuple of Expression
+        Unit vector to the Sun.
+
+    On a circle z is the orbit normal and, for the laws that ask for the pole, the Earth's axis;
+    laws that ask for the Sun act where the orbit is carried as a table only (`model.orbits`).
     """
 
     position: Vector
@@ -111,7 +120,10 @@ class Moving:
     radius: Expression
     mean_motion: Expression
     turning: Expression
-    rate: Expression
+    climb: Expression
+    centre_velocity: Vector
+    pole: Vector
+    sun: Vector
 
 
 @dataclass(frozen=True)
@@ -122,7 +134,9 @@ class BeadLaw:
     ----------
     name, meaning : str
     acceleration : callable
-        Of a `Moving` and the law's parameters by name: three components [m/s^2].
+        Of a `Moving` and the law's parameters by name: three components [m/s^2]. A law that bends
+        the centre's own orbit states what the bead feels more than the centre, with the centrifugal
+        force n^2 (x, y, 0), or the share of it that `orbit` says.
     parameters : tuple of LawParameter
         The law acts where the first of them is not zero; one without parameters is chosen by the
         system.
@@ -134,6 +148,11 @@ class BeadLaw:
         Whether it is the gradient of a potential, so that its Jacobian is symmetric.
     keeps_plane : bool
         Whether it leaves beads in the orbit plane that are there.
+    feels_pole : str
+        Whether it knows where the axis of the Earth points, "axis", and in which sense the Earth
+        turns about it, "sense"; "" for neither.
+    feels_stars : bool
+        Whether it knows a direction fixed among the stars, so that it turns in the orbit frame.
     typical : float
         Value of the first parameter where the law is chosen by its name alone, as one of
         `laws.PERTURBATIONS`; 0 if it cannot be.
@@ -147,6 +166,8 @@ class BeadLaw:
     by_velocity: bool = False
     from_potential: bool = True
     keeps_plane: bool = True
+    feels_pole: str = ""
+    feels_stars: bool = False
     typical: float = 0.0
 
     def __post_init__(self):
