@@ -39,7 +39,8 @@ SPIN_RATE_RATIO = -2.5
 system = ring()
 result = compute_floquet(system, SPIN_RATE_RATIO)
 print(f"{result.verdict}; the turn closes to {result.closure_residual:.1e}")
-for name in FAMILIES:
+families = [name for name in FAMILIES if name in result.family]
+for name in families:
     moduli = [abs(m) for m, f in zip(result.multiplier, result.family) if f == name]
     print(f"{name:15s}{len(moduli)} multipliers, |rho| {min(moduli):.6f} to {max(moduli):.6f}")
 
@@ -59,11 +60,11 @@ DAMPING_N_S_PER_M = (1450.0, 2600.0)
 largest, boundaries = {}, {}
 for damping in DAMPING_N_S_PER_M:
     damped = ring(damping_n_s_per_m=damping)
-    largest[damping] = {name: np.full(len(RATES), np.nan) for name in FAMILIES}
+    largest[damping] = {name: np.full(len(RATES), np.nan) for name in families}
     for i, outcome in sweep([FloquetJob(damped, rate) for rate in RATES]):
         if outcome.verdict == "none found":
             continue
-        for name in FAMILIES:
+        for name in families:
             moduli = [abs(m) for m, f in zip(outcome.multiplier, outcome.family) if f == name]
             largest[damping][name][i] = max(moduli)
     boundaries[damping] = find_critical_rates(damped, RATES[0], RATES[-1])

@@ -330,7 +330,7 @@ def test_bad_parameters_are_named_with_value_and_range(change, named):
     assert named in str(error.value)
 
 
-@pytest.mark.parametrize("ratio", [0.0, math.nan, math.inf, 1e9, "fast"])
+@pytest.mark.parametrize("ratio", [1e-4, math.nan, math.inf, 1e9, "fast"])
 def test_bad_spin_rates_are_refused(ratio):
     with pytest.raises(TssError, match="spin_rate_ratio"):
         initial_state(ring(), ratio)

@@ -86,12 +86,12 @@ def test_multipliers_tell_the_frequency_of_their_mode(w):
 @pytest.mark.parametrize(
     "system, counts",
     [
-        (ring(), (6, 2, 4, 6)),
-        (ring(satellites=5), (6, 2, 4, 18)),
-        (formation("chain", 2), (6, 2, 2, 2)),
-        (formation("chain", 3), (6, 2, 2, 8)),
-        (formation("hub_and_spoke", 3), (6, 2, 4, 12)),
-        (ring(satellites=3, beads_per_tether=1), (6, 2, 4, 24)),
+        (ring(), (6, 2, 4, 6, 0)),
+        (ring(satellites=5), (6, 2, 4, 18, 0)),
+        (formation("chain", 2), (6, 2, 2, 2, 0)),
+        (formation("chain", 3), (6, 2, 2, 8, 0)),
+        (formation("hub_and_spoke", 3), (6, 2, 4, 12, 0)),
+        (ring(satellites=3, beads_per_tether=1), (6, 2, 4, 24, 0)),
     ],
     ids=["3-star", "pentagon", "pair", "chain of 3", "hub and spoke", "6 beads"],
 )

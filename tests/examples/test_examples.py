@@ -31,7 +31,7 @@ ASKED = {
         "critical": "[boundaries[c][0].spin_rate_ratio for c in DAMPING_N_S_PER_M]",
         "causes": "[boundaries[c][0].cause for c in DAMPING_N_S_PER_M]",
         "tilt": "tilt",
-        "families": "[result.family.count(name) for name in FAMILIES]",
+        "families": "[result.family.count(name) for name in families]",
     },
     "plot_own_formation": {
         "same": "same",

@@ -85,7 +85,7 @@ WRONG_PARAMETERS = [
     ("sim_node", {"satellite_mass_kg": [1.0, 2.0]}, ("satellite_mass_kg", "2", "3")),
     ("sim_node", {"satellite_mass_kg": "[1, 2.5, 3]"}, ("satellite_mass_kg", "[1, 2.5, 3]")),
     ("sim_node", {"axial_stiffness_n": []}, ("axial_stiffness_n", "nothing")),
-    ("sim_node", {"spin_rate_ratio": 1e-4}, ("spin_rate_ratio", "0.0001", "0.001")),
+    ("sim_node", {"spin_rate_ratio": 0.0001}, ("spin_rate_ratio", "0.0001", "0.001")),
     ("sim_node", {"scenario": "nine_star"}, ("scenario", "four_star", "three_star")),
     ("sim_node", {"scenario": "/no/such.yaml"}, ("/no/such.yaml",)),
     ("sim_node", {"use_sim_time": 5}, ("use_sim_time", "5", "BOOL")),

@@ -150,11 +150,11 @@ def test_a_start_from_a_file_reaches_the_node(ask, tmp_path):
 
 
 def test_a_rate_that_fails_leaves_the_others_their_results(ask):
-    status, out, _ = ask("0", "-2.5", "nan")
-    zero, good, nan = columns(out)
+    status, out, _ = ask("0.0001", "-2.5", "nan")
+    tiny, good, nan = columns(out)
     assert status == 1
     assert good[4] and float(good[2]) > 0
-    assert "spin_rate_ratio" in zero[-1] and "spin_rate_ratio" in nan[-1]
+    assert "spin_rate_ratio" in tiny[-1] and "spin_rate_ratio" in nan[-1]
 
 
 @pytest.mark.parametrize(

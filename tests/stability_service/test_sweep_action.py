@@ -172,7 +172,7 @@ def test_whatever_the_service_computes_is_published(client):
 
 def test_one_system_without_a_parameter_makes_one_row(client):
     status, result, _ = client.run(
-        spin_rate_ratio=[-2.5, 0.0, -3.0],
+        spin_rate_ratio=[-2.5, 1e-4, -3.0],
         method="frozen",
         overrides=[override("satellite_mass_kg", 50.0), override("spin_rate_ratio", -3.0)],
     )
@@ -325,7 +325,7 @@ def test_a_sweep_ends_with_the_node(tmp_path):
 
 
 def test_a_cluster_sweeps_as_well_as_the_node_and_its_loss_is_told(client, tmp_path):
-    goal = {"spin_rate_ratio": [-2.5, 0.0, -3.0], "parameter": "satellites", "value": [3.0, 1.0]}
+    goal = {"spin_rate_ratio": [-2.5, 1e-4, -3.0], "parameter": "satellites", "value": [3.0, 1.0]}
     interval = {"spin_rate_ratio_from": -2.1, "spin_rate_ratio_to": -1.1, "tolerance": 1e-5}
     here = client.run(**goal)[1]
     with (

@@ -224,7 +224,7 @@ class Trajectory(SampledMotion, Stored):
     @property
     def turning_m(self) -> np.ndarray:
         """Positions in the frame that turns with the spin [m], (k, n, 3); they agree at time 0."""
-        angle = -math.copysign(2.0 * math.pi, self.spin_rate_ratio) * self.turns[:, None]
+        angle = -2.0 * math.pi * np.sign(self.spin_rate_ratio) * self.turns[:, None]
         x, y, z = np.moveaxis(self.position_m, -1, 0)
         cos, sin = np.cos(angle), np.sin(angle)
         return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
@@ -260,9 +260,9 @@ def simulate(
     ----------
     system : System
     spin_rate_ratio : float
-        w = omega / Omega, negative for clockwise.
+        w = omega / Omega, negative for clockwise; 0 for a formation that hangs.
     turns : float
-        How long.
+        How long; a formation that hangs turns once an orbit.
     disturbance_m : float
         [m] see `disturbed`; 0 for no push.
     seed : int

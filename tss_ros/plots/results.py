@@ -12,7 +12,7 @@ from tss_ros.plots.charts import stability, stability_map
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, Figure, finish, legend_below, state_law
 
 #: Sizes of the families' markers: those that often lie at one place show all the same.
-SIZES = (12, 8, 7, 10)
+SIZES = (12, 8, 7, 10, 9)
 NONE_FOUND = "none found"
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.model import forces
+from tss_ros.core.model.equilibria import COLLAPSED, loose_beads
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 
 #: Samples of a turn.
 SAMPLES = 360
-#: A tether shorter than this share of its rest length has collapsed.
-COLLAPSED = 0.5
 #: Beads nearer to the centre of mass than this share of the farthest may circle it as they like.
 NEAR_CENTRE = 0.1
 
@@ -64,10 +63,11 @@ def look(integrator: Integrator, start: State) -> Look:
     length, tension, taut = forces.tether_state(system, samples.r, samples.v)
     held = taut.any(axis=0)
     never_taut = tuple(name for name, ever in zip(system.tether_name, held) if not ever)
+    loose = loose_beads(system, held)
     refusal = (
         _turned(system, samples.r, integrator.spin)
         or _collapsed(system, length)
-        or _loose(system, held)
+        or (loose and f"no tether that is ever taut holds {loose}")
     )
     return Look(forces.pushing_share(tension[:-1], taut[:-1]), never_taut, refusal)
 
@@ -109,16 +109,3 @@ def _collapsed(system: System, length: np.ndarray) -> str:
     return (
         f"its tether {system.tether_name[worst]} shrinks to {share[worst]:.3g} of its rest length"
     )
-
-
-def _loose(system: System, held: np.ndarray) -> str:
-    """Why tethers that are ever taut (m,) do not hold the formation together."""
-    part = np.arange(system.n)
-    for first, second in system.tether_ends[held]:
-        part[part == part[second]] = part[first]
-    values, counts = np.unique(part, return_counts=True)
-    if values.size == 1:
-        return ""
-    loose = np.flatnonzero(part != values[np.argmax(counts)])
-    names = ", ".join(system.bead_name[i] for i in loose[:3]) + (" ..." if loose.size > 3 else "")
-    return f"no tether that is ever taut holds {names}"

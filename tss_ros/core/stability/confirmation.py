@@ -42,11 +42,13 @@ class DisturbedMotion:
     ----------
     held : bool
         No bead left its distance from the centre of mass, nor its undisturbed height over the
-        orbit plane, by more than `LOST`; the formation turned as often as it should, within
+        orbit plane (of a formation that hangs: its undisturbed place about the centre of mass), by
+        more than `LOST`; the formation turned as often as it should, within
         `ASTRAY`; and no tether shrank to `COLLAPSED`.
     turned : float
         Turns about the centre of mass in the sense of the spin over those that it should make, of
-        the bead for which that is farthest from 1.
+        the bead for which that is farthest from 1. A formation that hangs should make one an orbit,
+        seen from the stars.
     shortest : float
         Least length of a tether over its rest length.
     turns_to_settle : float
@@ -106,7 +108,7 @@ class Confirmation(Presented, Stored, DisturbedMotion):
         if not self.deviation_from_centre < LOST:
             return f"a bead left its distance from the centre by {self.deviation_from_centre:.2%}"
         if not self.held:
-            return f"a bead left its height over the orbit plane by more than {LOST:.0%}"
+            return f"a bead left its height over the orbit plane, or its place, by over {LOST:.0%}"
         farthest = f"the farthest {self.deviation_from_centre:.2%}"
         return f"no bead left its place by {LOST:.0%}, {farthest}"
 
@@ -230,7 +232,7 @@ def confirm(
     state = undisturbed.state
     seen = undisturbed.compare(disturbed(state, disturbance_m, seed), cancelled)
     _, nudged, *_ = undisturbed.run(disturbed(state, SMALL * undisturbed.size_m, seed), cancelled)
-    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg)
+    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg, spins=spin_rate_ratio != 0.0)
     return Confirmation(**vars(seen), growth_per_turn=growth)
 
 
@@ -314,16 +316,18 @@ class UndisturbedMotion:
         position, arms, velocity, switches = self.run(start, cancelled)
         length, tension, taut = tether_state(system, position, velocity)
         shortest = float(np.min(length / system.rest_length_m))
-        made = turns_made(arms, self._ratio) / self._turns
-        turned = float(made[np.nanargmax(np.abs(made - 1.0))])
+        made = turns_made(arms, self._ratio or 1.0) / self._turns + (not self._ratio)
+        apart = np.nan_to_num(np.abs(made - 1.0))
+        turned = float(made[np.argmax(apart)]) if apart.any() else 1.0
         beyond = self._radius > 1e-6 * size
         distance = np.linalg.norm(arms, axis=2)
         history = np.max(np.abs(distance - self._distance), axis=1) / size
         from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
-        height = np.max(np.abs(position - self._position)[:, :, 2]) / size
+        moved = position - self._position if self._ratio else arms - self.arms_m
+        height = np.max(np.abs(moved[:, :, 2]) if self._ratio else np.linalg.norm(moved, axis=2))
         loud = np.flatnonzero(history > 0.1 * np.max(history))
         settled = loud[-1] + 1 < len(times) - SAMPLES // 2
-        near = max(from_centre, height) < LOST
+        near = max(from_centre, height / size) < LOST
         return DisturbedMotion(
             held=bool(near and abs(turned - 1.0) < ASTRAY and shortest > COLLAPSED),
             turned=turned,
@@ -341,13 +345,14 @@ class UndisturbedMotion:
         )
 
 
-def _growth(nudged, calm, mass):
+def _growth(nudged, calm, mass, spins):
     """Growth a turn of the difference between two motions, arms (k, n, 3), but for the phase."""
     size = np.max(np.linalg.norm(calm[0], axis=1))
     difference, along = nudged - calm, np.cross([0.0, 0.0, 1.0], calm)
-    phase = np.einsum("i,kic,kic->k", mass, along, difference)
-    phase /= np.einsum("i,kic,kic->k", mass, along, along)
-    difference = difference - phase[:, None, None] * along
+    if spins:
+        phase = np.einsum("i,kic,kic->k", mass, along, difference)
+        phase /= np.einsum("i,kic,kic->k", mass, along, along)
+        difference = difference - phase[:, None, None] * along
     distance = np.linalg.norm(difference, axis=(1, 2)) / size
     largest = np.max(distance[1:].reshape(-1, SAMPLES), axis=1)
     # An unstable motion leaves its own start too, and then is no longer what the matrix is of.

@@ -1,4 +1,4 @@
-"""Floquet multipliers of a spinning formation: true, Eqs. (12)-(27), and frozen, Eqs. (34)-(47)."""
+"""Floquet multipliers of a formation: true, Eqs. (12)-(27), and frozen, Eqs. (34)-(47)."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.frozen import frozen_jacobian
+from tss_ros.core.stability.hanging import hanging_floquet
 from tss_ros.core.stability.judge import (
     SMALLEST_DRIFT,
     drift_radius,
@@ -62,7 +63,7 @@ def compute_floquet(
     ----------
     system : System
     spin_rate_ratio : float
-        w = omega / Omega, negative for clockwise.
+        w = omega / Omega, negative for clockwise; 0 for a formation that hangs, see `hanging`.
     method : str
         "monodromy": variational equations along the motion over one turn, Eqs. (12)-(27).
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
@@ -99,20 +100,22 @@ def compute_floquet(
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
+    if leading is None and system.n > MOST_BEADS:
+        leading = LEADING
+    if leading is not None and not 1 <= leading < 6 * system.n:
+        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
+    if not spin:
+        return hanging_floquet(system, method, state, correct, rtol, certify, leading, cancelled)
     try:
         start = state or next(initial_states(system, spin_rate_ratio))
     except NoSteadyState as error:
         start = State(system.layout_m, rigid_velocity(system.layout_m, spin))
-        if method == "frozen" or not correct or leading is not None or system.n > MOST_BEADS:
+        if method == "frozen" or not correct or leading is not None:
             return _without_motion(method, system, spin, start, str(error))
     length = float(np.max(np.linalg.norm(start.position_m, axis=1)))
     integrator = Integrator(system, spin, rtol, length)
     if method == "frozen":
         return _frozen(integrator, start, cancelled)
-    if leading is None and system.n > MOST_BEADS:
-        leading = LEADING
-    if leading is not None and not 1 <= leading < 6 * system.n:
-        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
     try:
         if leading is not None:
             return _leading(integrator, start, leading, correct, cancelled)

@@ -107,7 +107,7 @@ def follow(
 
 
 def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
-    """Refuse a parameter that there is not, a fixed rate that is followed, or one that is missing.
+    """Refuse a parameter that there is not, a rate that is followed or 0, or one that is missing.
 
     Raises
     ------
@@ -120,8 +120,9 @@ def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
     elif parameter not in PARAMETERS:
         raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
                        f" got {parameter!r}")  # fmt: skip
-    elif spin_rate_ratio is None:
-        raise TssError(f"spin_rate_ratio must be given to follow {parameter}")
+    elif not spin_rate_ratio:
+        given = "be given" if spin_rate_ratio is None else "not be 0"
+        raise TssError(f"spin_rate_ratio must {given} to follow {parameter}")
 
 
 def _systems(system, parameter, spin_rate_ratio):

@@ -130,6 +130,42 @@ def judge_frozen(multiplier: np.ndarray, family: np.ndarray) -> Judgement:
     return _verdict(multiplier, family, tolerance, True, drifting, found, (math.nan, math.nan))
 
 
+def judge_exponents(
+    exponent: np.ndarray, period_s: float, family: np.ndarray, error: float
+) -> Judgement:
+    """Judge a formation that hangs by its exponents: Eq. (47) where the matrix is exp(J T).
+
+    Over an orbit all multipliers of the centre of mass are 1; its exponents, 0 and +-i Omega twice,
+    lie apart.
+
+    Parameters
+    ----------
+    exponent : ndarray, shape (k,), complex
+        [1/s]
+    period_s : float
+        T [s].
+    family : ndarray, shape (k,), str
+        One of `FAMILIES` for each.
+    error : float
+        [1/s] known error of the exponents.
+
+    Returns
+    -------
+    Judgement
+        Tolerances count for real parts of exponents times T.
+    """
+    growth, found = exponent.real * period_s, np.ones(family.size, dtype=bool)
+    simple, blocks = _rigid(family, np.abs(exponent) * period_s, math.pi, found)
+    trivial = float(np.max(np.abs(growth[simple]), initial=0.0))
+    jordan = float(np.max(np.abs(growth[blocks]), initial=0.0))
+    nothing = max(SMALLEST_TOLERANCE, TRIVIAL_ERRORS * max(trivial, error * period_s))
+    tolerance = np.full(family.size, nothing)
+    with np.errstate(under="ignore", over="ignore"):
+        modulus = np.exp(growth)
+    drifting, errors = np.zeros_like(found), (trivial, jordan)
+    return _verdict(modulus, family, tolerance, True, drifting, found, errors)
+
+
 def _rigid(family, from_one, radius, found):
     """Which multipliers theory puts on the unit circle: simple ones, and those at 1 in blocks."""
     centre = np.flatnonzero(found & (family == FAMILIES[0]))
@@ -143,7 +179,7 @@ def _rigid(family, from_one, radius, found):
 
 def _verdict(multiplier, family, tolerance, periodic, drifting, found, errors):
     modulus, shape = np.abs(multiplier), family == "shape"
-    nontrivial = found & (shape | (family == "axis tilt"))
+    nontrivial = found & np.isin(family, FAMILIES[2:])
     growing = nontrivial & (modulus > 1.0 + tolerance)
     if not periodic:
         verdict, among = "none found", np.zeros_like(shape)

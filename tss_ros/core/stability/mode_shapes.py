@@ -15,7 +15,7 @@ from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.presentation import Presented, found
-from tss_ros.core.stability.mean_model import mean_modes
+from tss_ros.core.stability.mean_model import mean_modes, wave_numbers
 from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
 from tss_ros.core.stability.result import FloquetResult
 
@@ -41,7 +41,8 @@ class Mode(Presented):
     frequency : float
         [cycles a turn] in the frame that turns with the formation. The multiplier tells it up to
         whole cycles and the mode of the mean forces how many. NaN if the multiplier is lost in
-        rounding. Of the centre of mass it is that in the orbit frame.
+        rounding. Of the centre of mass it is that in the orbit frame. A formation that hangs turns
+        once an orbit: it is the frequency over Omega there, from the exponents.
     wave_number : int
         Waves around the formation, from 0 to half the order of its cyclic symmetry; -1 if that
         order is below 3.
@@ -61,7 +62,8 @@ class Mode(Presented):
     @property
     def in_words(self) -> str:
         """E.g. "axis tilt (k = 1, 0.775 a turn)"."""
-        where = f"{self.direction.replace(' ', '-')} " if self.family == FAMILIES[3] else ""
+        either = self.family in (FAMILIES[3], FAMILIES[4])
+        where = f"{self.direction.replace(' ', '-')} " if either else ""
         known = [f"k = {self.wave_number}"] if self.wave_number >= 0 else []
         if not math.isnan(self.frequency):
             known.append(f"{self.frequency:.3f} a turn")
@@ -109,11 +111,15 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     if not result.family:
         return []
     integrator = _integrator(system, result)
-    mean = mean_modes(integrator, result.state)
-    rho, vectors = result.multiplier, result.vectors
-    paired = _pairs(integrator, result, mean)
-    family = np.array(result.family)
-    frequency = _frequencies(integrator, result, mean, paired)
+    rho, vectors, family = result.multiplier, result.vectors, np.array(result.family)
+    if result.exponent.size:
+        frequency = np.abs(result.exponent.imag) * integrator.period_s / (2.0 * math.pi)
+        wave_number = wave_numbers(integrator, vectors)
+    else:
+        mean = mean_modes(integrator, result.state)
+        paired = _pairs(integrator, result, mean)
+        frequency = _frequencies(integrator, result, mean, paired)
+        wave_number = mean.wave_number[paired]
     position = vectors.reshape(2, system.n, 3, -1)[1]
     above = _above(vectors)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
@@ -125,7 +131,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
             str(family[k]),
             str(kinds[k]),
             float(frequency[k]),
-            int(mean.wave_number[paired[k]]),
+            int(wave_number[k]),
             position[:, :, k] * _to_size_one(position[:, :, k]),
         )
         for k in range(rho.size)
@@ -133,7 +139,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
 
 
 def _integrator(system, result):
-    if result.method != "monodromy":
+    if result.method != "monodromy" and not result.exponent.size:
         raise TssError(f"modes are those of the motion, but the result's method is {result.method}")
     if result.vectors.shape[0] != 6 * system.n:
         raise TssError(
@@ -223,7 +229,12 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
         raise TssError(f"the result has {len(result.family)} multipliers, none of index {which}")
     integrator = _integrator(system, result)
     vector = result.vectors[:, which : which + 1]
-    place, carried = _carried(integrator, result.state, vector, samples)
+    if result.exponent.size:
+        turns = np.arange(samples + 1)[:, None, None] / samples
+        place = np.tile(result.state.position_m, (samples + 1, 1, 1))
+        carried = np.exp(result.exponent[which] * integrator.period_s * turns) * vector
+    else:
+        place, carried = _carried(integrator, result.state, vector, samples)
     shape = carried.reshape(samples + 1, 2, system.n, 3)[:, 1]
     return ModeMotion(
         np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]),

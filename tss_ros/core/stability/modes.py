@@ -6,6 +6,9 @@ body does is known in each. A displacement of the whole formation stays one, exa
 gravity. A shift along the motion itself comes back after a turn, so that its multiplier is 1; with
 the spin rate it makes a Jordan block. Out of the plane a tilt moves beads in proportion to their
 place in the plane. What is left is shape.
+
+A formation that hangs at rest in the orbit frame has librations instead of spin and tilt: it swings
+as a rigid body about its equilibrium, in the orbit plane and out of it.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.shooting import flow_direction
 
-FAMILIES = ("centre of mass", "spin", "axis tilt", "shape")
+FAMILIES = ("centre of mass", "spin", "axis tilt", "shape", "libration")
 #: How near to 1 the spin's multipliers are, in |ln rho|, and how near counts as no distance: those
 #: of overdamped tethers come close, and then turn with the spin as they relax.
 NEAR_ONE, AT_ONE = 0.01, 1e-4
@@ -119,6 +122,46 @@ def label(
     tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
     take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
+    return names
+
+
+def label_hanging(system: System, state: State, vectors: np.ndarray, planar: bool) -> np.ndarray:
+    """Family of every mode of a formation that hangs.
+
+    Parameters
+    ----------
+    system : System
+    state : State
+        The equilibrium.
+    vectors : ndarray, shape (6n, 6n), complex
+        Columns in scaled coordinates, velocities first.
+    planar : bool
+        Whether they are in the orbit plane or out of it.
+
+    Returns
+    -------
+    ndarray, shape (6n,), str
+        6 of the centre of mass, 6 librations (a straight chain 4), and the rest shape.
+    """
+    n = system.n
+    weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
+    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
+    above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
+    arm = state.position_m - np.average(state.position_m, axis=0, weights=system.mass_kg)
+    about = (weight * np.cross(np.eye(3)[:, None], arm)).reshape(3, -1)
+    moves = (weight[None] * np.eye(3)[:, None]).reshape(3, -1)
+    every = np.ones(3, dtype=bool)
+    parts = [(above, [False, False, True], [True, True, False])]
+    parts.append((~above, ~np.array(parts[0][1]), ~np.array(parts[0][2])))
+    names = np.full(vectors.shape[1], FAMILIES[3], dtype=object)
+    for allowed, along, turns in parts if planar else [(every.any(), every, every)]:
+        _, size, axes = np.linalg.svd(about[turns], full_matrices=False)
+        turned = axes[size > FLAT * np.linalg.norm(about) / 3.0]
+        for family, basis in ((FAMILIES[0], moves[along]), (FAMILIES[4], turned)):
+            free = np.flatnonzero((names == FAMILIES[3]) & allowed)
+            share = _share(basis, halves[:, :, free]) / whole[free]
+            names[free[np.argsort(-share, kind="stable")][: 2 * len(basis)]] = family
     return names
 
 

@@ -27,18 +27,20 @@ class FloquetResult(Presented, Stored):
     spin_rate_ratio : float
         w = omega / Omega.
     spin_rate_rad_s, period_s : float
-        omega [rad/s] and T = 2 pi / |omega| [s].
+        omega [rad/s] and T = 2 pi / |omega| [s]; where omega is 0, T is the orbit's period.
     multiplier : ndarray, shape (6n,) or (leading,), complex
         Largest modulus first; empty if there is no configuration or the motion is chaotic, and
         then all that follows from multipliers is NaN.
     family : tuple of str, as long
         One of `FAMILIES` for each multiplier.
     max_modulus, max_modulus_nontrivial : float
-        Over all, and over those of axis tilt and shape; of leading ones, over those found.
+        Over all, and over those of axis tilt, shape and libration; of leading ones, over those
+        found.
     verdict : str
         One of `VERDICTS`. "asymptotically stable" speaks of the shape: the tilt of the axis and
         the centre of mass never decay, so Eq. (47) cannot hold for them. "undecided": none of the
-        leading multipliers that were found lies outside, but some were not found.
+        leading multipliers that were found lies outside, but some were not found. Librations of
+        a formation that hangs count as the tilt does.
     deciding_modulus : float
         Modulus of the multiplier that decided the verdict: the largest of those that leave the
         circle if it is "unstable", else of the shape, or of what else may leave it. NaN where none
@@ -74,7 +76,9 @@ class FloquetResult(Presented, Stored):
     segment_error, convergence_error : float
         Largest change of a multiplier outside the Jordan blocks when the turn is cut into 3 and 7
         parts whose matrices are multiplied, and when it is integrated a hundred times more
-        accurately. NaN if not certified.
+        accurately. NaN if not certified. Of a formation that hangs `segment_error` is the largest
+        |M v - exp(exponent t) v| of its modes v, M integrated over t: an orbit, or as much of it
+        as `message` says.
     liouville_error : float
         Error of Liouville's formula for log|det M|, see `proofs.liouville_error`. NaN if not
         certified.
@@ -92,10 +96,14 @@ class FloquetResult(Presented, Stored):
         Remarks for the reader.
     residual : ndarray, shape (leading,)
         |M v - rho v| / |v| of leading multipliers; empty where the whole matrix was computed.
+    exponent : ndarray, shape (6n,) or (leading,), complex
+        [1/s] of a formation that hangs, omega = 0: its multipliers are exp(exponent T), in the same
+        order. Multipliers of stiff damped modes vanish in rounding and tell frequencies up to whole
+        cycles; exponents do neither. Empty elsewhere.
     vectors : ndarray, shape (6n, k), complex
         Eigenvectors of the multipliers, columns in the same order: velocities over the rim speed,
-        then positions over the radius of the start, in the turning frame. `compute_modes` says
-        what they are.
+        then positions over the radius of the start, in the turning frame. The rim speed of a
+        formation that hangs is Omega times its radius. `compute_modes` says what they are.
     """
 
     method: str
@@ -126,6 +134,7 @@ class FloquetResult(Presented, Stored):
     liouville_error: float = math.nan
     message: str = ""
     residual: np.ndarray = field(default_factory=lambda: np.empty(0))
+    exponent: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=complex))
     vectors: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=complex))
 
     @property
@@ -164,8 +173,9 @@ class FloquetResult(Presented, Stored):
         """The multipliers as a pandas.DataFrame, largest modulus first."""
         columns = {"multiplier": self.multiplier, "modulus": np.abs(self.multiplier)}
         columns["family"] = list(self.family)
-        if self.residual.size:
-            columns["residual"] = self.residual
+        for name in ("exponent", "residual"):
+            if getattr(self, name).size:
+                columns[name] = getattr(self, name)
         return data_frame(columns)
 
     def _headline(self):
@@ -196,11 +206,18 @@ class FloquetResult(Presented, Stored):
             "because": self.reason,
             "multipliers": len(self.multiplier),
             "period": f"{self.period_s:.6g} s",
+            **self._swings(),
             **{name: f"{x:.2e}" for name, x in numbers.items() if not math.isnan(x)},
             "switches in the turn": self.switches,
             "tether law": law_in_words(self.tether_law, self.pushing_share),
             **({"remarks": self.message} if self.family and self.message else {}),
         }
+
+    def _swings(self):
+        """Frequencies of librations, if there are any."""
+        swings = [x.imag for x, name in zip(self.exponent, self.family) if name == "libration"]
+        rates = sorted({f"{x * self.period_s / (2.0 * math.pi):.6g}" for x in swings if x > 0.0})
+        return {"librations": f"{', '.join(rates)} a turn"} if rates else {}
 
 
 #: What the verdicts say that multipliers decided.
