@@ -2,9 +2,11 @@
 
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
+from tss_ros.core.model.elements import orbit_elements
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
 from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
+from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
@@ -63,6 +65,7 @@ __all__ = [
     "ModeMotion",
     "NoSteadyState",
     "Propagator",
+    "ReferenceOrbit",
     "FloquetJob",
     "Satellite",
     "SpecialCurve",
@@ -88,6 +91,7 @@ __all__ = [
     "initial_state",
     "mode_motion",
     "name_resonance",
+    "orbit_elements",
     "parameter_of",
     "pushing_share",
     "ring",

@@ -1,55 +1,54 @@
-"""The frames on /tf: the orbit frame in the inertial one, and every bead in the orbit frame."""
+"""The frames on /tf: the orbit frame in the inertial one, and every bead in the orbit frame.
 
-import math
+Axes follow REP 103: right-handed, metres. `inertial` has its origin in the Earth's centre, x to the
+vernal equinox and z to the north. `orbit` has y up and z along the orbit normal.
+"""
+
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from tss_ros.core import System
+from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.messages.steps import FRAME_ID
 from tss_ros.ros.messages import stamp
 
-#: The frame at rest in the Earth's centre whose axes the orbit frame has at time 0.
+#: The frame at rest in the Earth's centre.
 INERTIAL_FRAME_ID = "inertial"
 
 
 def transforms(
-    system: System,
-    time_ns: int,
-    position_m: np.ndarray,
-    prefix: str = "",
-    others: Mapping[str, np.ndarray] = MappingProxyType({}),
+    orbit: ReferenceOrbit, time_ns: int, point_m: Mapping[str, np.ndarray], prefix: str = ""
 ) -> list[TransformStamped]:
-    """Frames as TransformStamped: orbit in inertial, every bead in orbit, named with a prefix.
+    """Frames as TransformStamped: orbit in inertial, every point in orbit, named with a prefix.
 
     Parameters
     ----------
-    system : System
+    orbit : ReferenceOrbit
+        That of the formation's nominal centre.
     time_ns : int
-    position_m : ndarray, shape (n, 3)
+    point_m : mapping of str to ndarray, shape (3,)
+        Beads and other points of the orbit frame [m], which have no attitude, by name.
     prefix : str
-    others : mapping of str to ndarray, shape (3,)
-        Other points of the orbit frame [m] that have a frame, by its name.
 
     Returns
     -------
     list of geometry_msgs.msg.TransformStamped
-        n + 1 of them, and those of the others. The orbit frame turns about z with the orbital rate,
-        y pointing away from the Earth; beads have no attitude.
+        One more than there are points.
     """
-    angle = math.fmod(system.orbit_rate_rad_s * time_ns / 1e9, 2.0 * math.pi)
-    centre_m = system.orbit_radius_m * np.array([-math.sin(angle), math.cos(angle), 0.0])
-    names = [FRAME_ID, *system.bead_name, *others]
-    points_m = [centre_m, *position_m, *others.values()]
+    time_s = np.array([time_ns / 1e9])
+    centre_m, attitude = orbit.inertial_state(time_s)[0][0], orbit.inertial_axes(time_s)[0]
     header = Header(stamp=stamp(time_ns), frame_id=prefix + FRAME_ID)
-    frames = [TransformStamped(header=header, child_frame_id=prefix + name) for name in names]
+    frames = [
+        TransformStamped(header=header, child_frame_id=prefix + name)
+        for name in (FRAME_ID, *point_m)
+    ]
     frames[0].header = Header(stamp=header.stamp, frame_id=prefix + INERTIAL_FRAME_ID)
-    frames[0].transform.rotation.z = math.sin(angle / 2.0)
-    frames[0].transform.rotation.w = math.cos(angle / 2.0)
-    for frame, (x, y, z) in zip(frames, map(np.ndarray.tolist, points_m)):
+    turn = frames[0].transform.rotation
+    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(attitude).as_quat().tolist()
+    for frame, (x, y, z) in zip(frames, map(np.ndarray.tolist, (centre_m, *point_m.values()))):
         place = frame.transform.translation
         place.x, place.y, place.z = x, y, z
     return frames

@@ -1,11 +1,13 @@
 """What a simulator's run begins with: a system, its spin and its disturbed initial state."""
 
 import dataclasses
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from tss_ros.core import State, System, disturbed, initial_state, tether_state
+from tss_ros.core.model.orbits import ReferenceOrbit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +76,11 @@ class Setup:
     def publish_period_s(self) -> float:
         """[s] simulated time between steps."""
         return self.options["publish_period_s"]
+
+    @cached_property
+    def orbit(self) -> ReferenceOrbit:
+        """The orbit of the formation's nominal centre."""
+        return ReferenceOrbit(self.system)
 
     @property
     def turn_s(self) -> float:

@@ -248,12 +248,13 @@ class SimNode(TssNode):
     def _publish_frames(self):
         sample = self._shown[1]
         self._tf_due = time.monotonic() + 1.0 / TF_RATE_HZ
-        setup, others = self._control.simulation.setup, {}
+        setup = self._control.simulation.setup
+        points = dict(zip(setup.system.bead_name, sample.position_m))
         if setup.options["odometry"] == odometry.CENTRE_OF_MASS:
             centre_m = odometry.centre_of_mass(setup.system, sample.position_m)
-            others[odometry.CENTRE_OF_MASS] = centre_m
+            points[odometry.CENTRE_OF_MASS] = centre_m
         transforms = frames.transforms(
-            setup.system, sample.time_ns, sample.position_m, self._options["frame_prefix"], others
+            setup.orbit, sample.time_ns, points, self._options["frame_prefix"]
         )
         publisher = self._publisher["/tf"]
         publisher.publish(publisher.msg_type(transforms=transforms))

@@ -154,6 +154,10 @@ class ReferenceOrbit:
         across = np.sum(self._acceleration(q) * normal, axis=1)[:, None]
         return axes, radius / h * across * up + h / radius**2 * normal
 
+    def inertial_axes(self, time_s: np.ndarray) -> np.ndarray:
+        """Columns (k, 3, 3): the orbit frame's axes x, y, z along Earth-centred inertial ones."""
+        return np.einsum("ij,kcj->kic", self.axes, self.frame(time_s)[0])
+
     @property
     def node_rate_rad_s(self) -> float:
         """Mean rate of the ascending node, to first order in J2."""
