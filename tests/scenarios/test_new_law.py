@@ -51,7 +51,7 @@ def test_a_law_of_ones_own_is_a_parameter_everywhere(tmp_path):
     (laws / "trap.py").write_text(LAW)
     text = (laws / "__init__.py").read_text()
     text = text.replace("    drag,\n", "    drag,\n    trap,\n").replace(
-        "drag.LAW)", "drag.LAW, trap.LAW)"
+        "solar_pressure.LAW,", "solar_pressure.LAW, trap.LAW,"
     )
     (laws / "__init__.py").write_text(text)
     docs = Path(__file__).parents[2] / "docs"
