@@ -6,7 +6,7 @@ export PYTHON
 
 help:
 	@echo 'make demo    simulate, record and analyse the 3-star formation; results in runs/demo/'
-	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/'
+	@echo 'make reproduce  the paper, figure by figure; results in runs/reproduction/ and runs/literature/'
 	@echo 'make test    run every test but the long ones, which make test-all runs, too'
 	@echo 'make benchmarks  measure against public solvers; results in runs/benchmarks/'
 	@echo 'make docs    build the documentation; open docs/_build/html/index.html'
@@ -21,7 +21,7 @@ demo: setup
 	@. ./activate && echo 'tss_ros: loading the demo' && exec ros2 run tss_ros demo
 
 reproduce: setup
-	@. ./activate && exec ros2 run tss_ros reproduce
+	@. ./activate && ros2 run tss_ros reproduce && exec ros2 run tss_ros literature
 
 test: setup
 	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not long" $(PYTEST)

@@ -23,6 +23,7 @@ EXECUTABLES = {
     "ensemble": "simulator.ensemble:main",
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
+    "literature": "reproduction.literature_report:main",
     "review": "review.review:main",
     "page": "pages.page:main",
     "recover": "bags.recover:main",

@@ -5,7 +5,7 @@ Written from the numbers of `claims`; the sentences beside the pictures say what
 
 import base64
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,7 @@ def markdown(result: Callable[[str], Any], damping: float) -> str:
         "## First: with tethers that only pull",
         _pulling(result, damping),
         "## Every claim",
-        _table(HEADING, claim_rows(result, damping)),
+        table(HEADING, claim_rows(result, damping)),
         "## The damping that the paper does not state",
         _damping(result),
         "## Why a dependence on the mass might have been seen",
@@ -138,7 +138,7 @@ def _pulling(result, damping):
             " 0.005; it was lost at 1.9 and held at 3.4), and the boundaries by monodromy, within"
             " 0.002, from 3.5 to 1.9. Pockets between the rates tried may be missed. A rigid"
             f" triangle goes slack below {abs(claims.RIGID_EDGE):.3f}, whatever C:",
-            _table(
+            table(
                 (
                     "system",
                     "C [N s/m]",
@@ -185,7 +185,7 @@ def _damping(result):
                     f"at most {abs(claims.RIGID_EDGE):.5f}",
                 )
             )
-    lines.append(_table(("system", "claimed rate", "C [N s/m]", "closed form there"), rows))
+    lines.append(table(("system", "claimed rate", "C [N s/m]", "closed form there"), rows))
     none = result("none beyond")
     tried = ", ".join(f"{c:g}" for c in none["dampings"])
     lines.append(
@@ -205,7 +205,7 @@ def _damping(result):
         )
     ]
     lines.append(
-        _table(("C [N s/m]", "closed form, slack", *(claims.TITLES[n] for n in claims.STARS)), rows)
+        table(("C [N s/m]", "closed form, slack", *(claims.TITLES[n] for n in claims.STARS)), rows)
     )
     lines.append(
         "Cells: monodromy first slack / stability lost / simulation settles / held for 12 turns"
@@ -244,7 +244,7 @@ def _mass(result, damping):
             + " (mean over a turn at 2.5), so a light ring might be thought to slacken first. Rates"
             " beyond which a disturbed motion settles / is held / stays within 20 % of its distance"
             " from the frame's *origin*, 12 turns:",
-            _table(("disturbance [m]", *titles), rows),
+            table(("disturbance [m]", *titles), rows),
             _spread(result),
             "**Origin or centre of mass.** The third number of each cell: a displaced centre of"
             " mass drifts along the orbit, which (53) counts as deviation. With a disturbance of"
@@ -253,7 +253,7 @@ def _mass(result, damping):
             "**Integration tolerance.** scipy's LSODA on Eq. (1), relative tolerance as"
             " given, absolute a thousandth of it [m, m/s]; rate beyond which it shows the motion"
             " held for 8 turns (half-width 0.025):",
-            _table(("relative tolerance", *titles), loose_rows),
+            table(("relative tolerance", *titles), loose_rows),
             "A loose tolerance alone makes the critical rate appear too high, and more so for light"
             " satellites than for heavy ones: the direction of the paper's claim. With a strict"
             " tolerance the masses agree again. 2.79 was not reached. Whether the paper's"
@@ -313,7 +313,7 @@ def _six_beads(result, damping):
             " can shorten its chord by kinking at its bead without either half getting shorter.)"
             " Its slowest stable range is narrow; faster than it lies a band of unstable or missing"
             " periodic motion, then it is stable again.",
-            _table(
+            table(
                 (
                     "C [N s/m]",
                     "critical by monodromy",
@@ -327,7 +327,7 @@ def _six_beads(result, damping):
             " a tether at its bead (in the orbital plane, 0 where it is straight): peak to peak"
             " in the third and the last turn, and its strongest spectral lines in cycles per turn"
             " (amplitude).",
-            _table(
+            table(
                 (
                     "rate",
                     "",
@@ -351,7 +351,9 @@ def _picture(name, title, paper, seen):
     return f"### {title}\n\n![{title}]({name}.png)\n\n*Paper:* {paper}\n\n*Here:* {seen}"
 
 
-def _table(heading, rows):
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+
     def line(row):
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
 

@@ -279,4 +279,5 @@ def lengths_and_rates(
     e = position_m[..., first, :] - position_m[..., second, :]
     w = velocity_m_s[..., first, :] - velocity_m_s[..., second, :]
     length = np.sqrt(np.sum(e * e, axis=-1))
-    return length, np.sum(e * w, axis=-1) / length
+    along = np.sum(e * w, axis=-1)
+    return length, np.divide(along, length, out=np.zeros_like(length), where=length > 0.0)
