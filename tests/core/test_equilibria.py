@@ -403,6 +403,26 @@ def test_some_exponents_are_the_leading_ones_of_all():
     assert some.vectors.shape == (18, 5) and some.verdict == every.verdict
 
 
+def test_slow_modes_keep_their_digits_beside_strong_damping():
+    """A tether cut into 31 segments with dampers 1e8 times faster than the orbit."""
+    system = formation("chain", 2, beads_per_tether=30, linear_gravity=True)
+    result = compute_floquet(system, 0.0, certify=False)
+    rate = system.orbit_rate_rad_s
+    assert result.exponent.real.min() < -1e6 * rate
+    centre = result.exponent[np.array(result.family) == "centre of mass"] / rate
+    np.testing.assert_allclose(np.sort(np.abs(centre))[2:], 1.0, atol=1e-7)
+    assert result.trivial_error < 1e-7
+    swings = np.abs(result.exponent[np.array(result.family) == "libration"].imag) / rate
+    assert np.sort(swings) == pytest.approx([math.sqrt(3.0)] * 2 + [2.0] * 2, rel=1e-4)
+
+
+def test_long_chains_show_the_exponents_that_decay_least():
+    system = formation("chain", 2, beads_per_tether=120)
+    result = compute_floquet(system, 0.0)
+    assert len(result.family) == 12 and result.vectors.shape == (6 * 122, 12)
+    assert "the 12 that decay least of 732" in result.message and result.verdict == "neutral"
+
+
 # --- verdicts
 
 
