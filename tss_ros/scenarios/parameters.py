@@ -179,7 +179,7 @@ FORMATION = (
 SPIN_RATE_RATIO = Parameter(
     "spin_rate_ratio", float, "Spin rate over orbital rate in the orbit frame", "-",
     minimum=-1e4, maximum=1e4,
-    note="negative: clockwise, 0: it hangs",
+    note="not zero, negative: clockwise",
 )  # fmt: skip
 #: Parameters of a scenario.
 SCENARIO = (*FORMATION, SPIN_RATE_RATIO)
