@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy.sparse
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import EQUILIBRIUM, InitialState
@@ -64,6 +65,8 @@ def hanging_floquet(
     if certify and leading is None:
         proofs, part = _proofs(integrator, start, exponent, vectors, cancelled)
         words.append(f"exponents compared with a matrix integrated over {part:.3g} of the orbit")
+    if leading is not None:
+        words.append(f"the {leading} that decay least of {exponent.size}, all of which were judged")
     with np.errstate(under="ignore", over="ignore"):
         multiplier = np.exp(exponent * integrator.period_s)  # Eq. (46)
     order, decided = np.argsort(-exponent.real, kind="stable")[:leading], judgement.deciding
@@ -76,7 +79,7 @@ def hanging_floquet(
         max_modulus=judgement.max_modulus,
         max_modulus_nontrivial=judgement.max_modulus_nontrivial,
         verdict=judgement.verdict,
-        deciding_modulus=float(np.abs(multiplier[decided])),
+        deciding_modulus=float(abs(multiplier[decided])),
         deciding_family=str(family[decided]),
         tolerance=float(np.min(judgement.tolerance)),
         trivial_error=judgement.trivial_error,
@@ -143,8 +146,25 @@ def exponents(
     settings = integrator.settings
     matrix = frozen_jacobian(system, state, settings.speed, settings.length)
     exponent, vectors = multipliers(matrix, stays_in_plane(system, state))
-    fastest = float(np.max(np.abs(exponent)))
-    return exponent, vectors, len(matrix) * np.finfo(float).eps * fastest
+    precise, rounding = _refined(matrix, exponent, vectors)
+    return precise, vectors, len(matrix) * rounding * float(np.max(np.abs(exponent)))
+
+
+def _refined(matrix, exponent, vectors):
+    """Exponents with what is left of J v = lambda v taken off, and the precision they have.
+
+    It is computed in extended precision: slow modes beside stiff or strongly damped tethers, where
+    double precision has lost half their digits, get them back.
+    """
+    precision, wide = np.finfo(float).eps, vectors.astype(np.clongdouble)
+    left = scipy.sparse.csr_array(matrix.astype(np.longdouble)) @ wide - wide * exponent
+    try:
+        change = np.diag(np.linalg.solve(vectors, left.astype(complex)))
+    except np.linalg.LinAlgError:  # a Jordan block to the last digit
+        return exponent, precision
+    # In a Jordan block it may be anything.
+    small = np.abs(change) < 10.0 * np.linalg.norm(left.astype(complex), axis=0)
+    return exponent + np.where(small, change, 0.0), float(np.finfo(np.longdouble).eps)
 
 
 def _closure(integrator, start, cancelled):
