@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from tss_ros.command_line import Parser, why_not_written
 from tss_ros.core import METHODS, TssError, in_words
 from tss_ros.core.stability.law_words import NEVER_PUSH
+from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import VARIED, names
 from tss_ros.sweeps import jobs, work
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
@@ -188,7 +189,7 @@ def _parse(arguments):
     )
     parser.add_argument(
         "--rates", nargs=3, type=float, metavar=("FROM", "TO", "COUNT"),
-        help="multipliers at so many spin rates",
+        help="multipliers at so many spin rates (the scenario's own)",
     )  # fmt: skip
     parser.add_argument(
         "--methods", nargs="+", choices=METHODS, default=list(METHODS),
@@ -220,14 +221,29 @@ def _parse(arguments):
             options.values = [float(value) for value in options.values]
         except ValueError as error:
             parser.error(f"--values of {options.parameter} are numbers: {error}")
+    own = ()
     if not (options.rates or options.critical or options.follow):
-        parser.error("give --rates, --critical or --follow")
+        own = _own_rates(parser, options.scenario)
     if options.confirm < 0 or options.confirm and not options.critical:
         parser.error(f"--confirm is {options.confirm}; allowed: turns, together with --critical")
     work.check_options(parser, options)
     if options.output and (why := why_not_written(options.output)):
         parser.error(f"--output: {why}")
     options.methods = [method for method in METHODS if method in options.methods]
-    if options.rates:
+    if own:
+        options.rates = (*own, *own, 1)
+    elif options.rates:
         options.rates = work.read_rates(parser, options.rates)
     return options
+
+
+def _own_rates(parser, scenarios):
+    """The rate that all scenarios have, where the command line says nothing of rates."""
+    try:
+        own = {scenario.load(name).spin_rate_ratio: name for name in scenarios}
+    except TssError as error:
+        parser.error(str(error))
+    if len(own) > 1:
+        words = ", ".join(f"{name} {rate:g}" for rate, name in own.items())
+        parser.error(f"give --rates, --critical or --follow; the scenarios' own rates are {words}")
+    return own
