@@ -171,11 +171,12 @@ LINKS = [((0, 1), 1000.0), ((1, 2), 1000.0)]
         (ring(4), "no equilibrium found"),
         (formation("double_pyramid", 4, tether_length_m=[1000.0] * 4 + [3000.0] * 8,
                    spin_axis=[0.0, 1.0, 0.0]), "would have to push, tether_.* and 1 more"),
-        (formation("chain", 2, eccentricity=0.1), "circular orbit only.*eccentricity 0.1"),
-        (formation("chain", 2, inclination_deg=30.0, j2=1e-3), "inclination 30 degrees with J2"),
+        (formation("chain", 2, eccentricity=0.1), "the orbit is an ellipse of eccentricity 0.1"),
+        (formation("chain", 2, inclination_deg=30.0, j2=1e-3), "j2 acts on .* inclined by 30"),
+        (formation("chain", 2, perturbations=["solar_pressure"]), "solar_pressure acts, whose"),
     ],
     ids=["along the orbit", "the same, full gravity", "across it", "triangle", "square",
-         "pyramid", "ellipse", "inclined with J2"],
+         "pyramid", "ellipse", "inclined with J2", "sunlight"],
 )  # fmt: skip
 def test_where_nothing_hangs_the_reason_is_named(system, named):
     with pytest.raises(NoSteadyState, match=named) as refused:

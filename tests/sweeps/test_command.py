@@ -90,7 +90,7 @@ def test_the_law_is_named_where_another_parameter_is_varied():
     "arguments, status, named",
     [
         (("nowhere", "--rates", "-3", "-2", "2"), 1, "'nowhere'"),
-        (("three_star",), 2, "give --rates, --critical or --follow"),
+        (("three_star", "five_star"), 2, "own rates are three_star -2.5, five_star -5"),
         (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
         (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),

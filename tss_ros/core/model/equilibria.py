@@ -16,6 +16,7 @@ from tss_ros.core.model import forces
 from tss_ros.core.model.balance import BALANCED, Balance
 from tss_ros.core.model.frames import rotated_about_z
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.model.system import System
 
 #: Largest distance of a bead from where the layout has it, over the layout's radius.
@@ -46,7 +47,7 @@ def equilibrium(system: System, near_m: np.ndarray | None = None) -> np.ndarray:
     Parameters
     ----------
     system : System
-        On a circular orbit.
+        On a circular orbit, under laws that do not depend on time in the orbit frame.
     near_m : ndarray, shape (n, 3), optional
         [m]; the system's layout if not given.
 
@@ -60,15 +61,10 @@ def equilibrium(system: System, near_m: np.ndarray | None = None) -> np.ndarray:
     NoSteadyState
         If there is none: the text says what is missing, with the number.
     """
-    if not system.on_circle:
-        raise NoSteadyState(
-            "no equilibrium for spin_rate_ratio 0: a formation rests in the frame of a circular"
-            " orbit only; the orbit has"
-            f" eccentricity {system.law_parameters['eccentricity']:g}, inclination"
-            f" {system.law_parameters['inclination_deg']:g} degrees with J2"
-            f" {system.law_parameters['j2']:g}"
-        )
-    balance = _OrbitFrameBalance(laws_at_rest(system)[0])
+    resting, _ = laws_at_rest(system)
+    if reason := why_not_autonomous(resting):
+        raise NoSteadyState(f"no equilibrium for spin_rate_ratio 0: {reason}")
+    balance = _OrbitFrameBalance(resting)
     near = system.layout_m if near_m is None else near_m
     start = balance.start(near)
     place, force = balance.balanced(start)
