@@ -13,17 +13,11 @@ from scipy.optimize import root
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
-from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.averaged_balance import AveragedBalance
+from tss_ros.core.model.axes import resting_state
+from tss_ros.core.model.frames import rigid_velocity, turn_to
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System, finite
-from tss_ros.core.numerics import block_lu
-
-#: Most changes of which tethers are taut in the averaged balance, and most corrections of each.
-MOST_MODE_CHANGES, MOST_CORRECTIONS = 10, 200
-#: Largest force left, over the mean centrifugal force, of a configuration in balance.
-BALANCED = 1e-7
-#: Most steps of the relaxation where Newton's method alone does not find the balance.
-MOST_RELAXATIONS = 300
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,7 +27,7 @@ class InitialState(State):
     Attributes
     ----------
     origin : str
-        "Eqs. 50-51", "Eq. 54" or "averaged gravity gradient".
+        "Eqs. 50-51", "Eq. 54" or "averaged gravity gradient", with the axis if that was found.
     """
 
     origin: str = ""
@@ -77,11 +71,11 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
         The paper's where it has one, then that of the averaged gravity gradient.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    units = ring_units(system)
+    units = ring_units(system) if (turning := system.turning_rad_s(spin)) else 0
     if not units or system.n // units > 2:
         yield averaged_state(system, spin_rate_ratio)
         return
-    yield _paper_configuration(system, spin, units)
+    yield _paper_configuration(system, turning, units)
     with contextlib.suppress(NoSteadyState):
         averaged = averaged_state(system, spin_rate_ratio)
         yield averaged
@@ -111,6 +105,8 @@ def _paper_configuration(system, spin, units):
     per_unit = system.n // units
     angle = math.pi / 2 + 2.0 * math.pi * np.arange(system.n) / system.n
     outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)  # Eq. (50)
+    if system.spin_axis[2] < 0.0:
+        outward = outward @ turn_to(system.spin_axis).T
     arrays = kernel_arrays(system, 0.0)
     taut = np.ones(system.m, dtype=bool)
     acceleration = np.empty((system.n, 3))
@@ -136,7 +132,8 @@ def _paper_configuration(system, spin, units):
     rounding = 16 * np.finfo(float).eps * np.max(stiffness) / np.min(system.mass_kg) / spin**2
     if not error < 1e-8 + rounding or np.min(solution.x) <= 0.0:
         raise NoSteadyState(
-            f"no steady configuration found for spin_rate_ratio {spin / system.orbit_rate_rad_s:g}:"
+            "no steady configuration found for spin_rate_ratio"
+            f" {spin * system.spin_axis[2] / system.orbit_rate_rad_s:g}:"
             f" Eq. (51) is left with a relative imbalance of {error:.1e}"
         )
     return InitialState(*state(solution.x), "Eqs. 50-51" if per_unit == 1 else "Eq. 54")
@@ -144,7 +141,10 @@ def _paper_configuration(system, spin, units):
 
 @checked
 def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
-    """Rotating equilibrium under the gravity gradient averaged over one turn, 1.5 Omega^2 in plane.
+    """Rotating equilibrium under the gravity gradient averaged over one turn.
+
+    That is 1.5 Omega^2 in plane for an axis along the orbit normal. Another axis is found with the
+    shape, next to that of the system: the one of a family of `axes` at which it rests.
 
     Parameters
     ----------
@@ -160,133 +160,16 @@ def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     TssError
         If the rate is not allowed.
     NoSteadyState
-        If none was found near the system's layout.
+        If none was found near the system's layout and axis.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    balance = _AveragedBalance(system, spin)
-    place, force = balance.balanced(start := balance.start())
-    if np.max(np.abs(force)) > BALANCED * balance.scale:
-        place, force = balance.balanced(balance.settled(start))
-    left = np.max(np.abs(force), axis=1)
-    worst = int(np.argmax(left))
-    if not left[worst] < balance.scale * (BALANCED + balance.rounding):
-        raise NoSteadyState(
-            f"no steady configuration found for spin_rate_ratio {spin_rate_ratio:g}:"
-            f" {system.bead_name[worst]} is left out of balance by {left[worst]:.3g} N,"
-            f" {left[worst] / balance.scale:.1e} of the mean centrifugal force"
-        )
-    return InitialState(place, rigid_velocity(place, spin), "averaged gravity gradient")
-
-
-class _AveragedBalance:
-    """The forces of a rigid turn under averaged gravity, and Newton's method for their balance."""
-
-    def __init__(self, system, spin):
-        rate, self.mass = system.orbit_rate_rad_s, system.mass_kg
-        self.outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
-        # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin
-        # of sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
-        arrays = kernel_arrays(system, math.sqrt(self.outward))
-        self.arrays = arrays._replace(rate=0.0, bilateral=True, acting=0)
-        self.system, self.inward = system, rate**2
-        self.symbolic = block_lu.analyse(system.n, system.tether_ends)
-        self.taut = np.ones(system.m, dtype=bool)
-        self.still = np.zeros((system.n, 3))
-        self.by_r, self.by_v = np.empty((2, self.symbolic.blocks, 3, 3))
-
-    def start(self):
-        """The layout, stretched by about what the spin does."""
-        place = np.array(self.system.layout_m)
-        place -= np.average(place, axis=0, weights=self.mass)
-        self.radius = np.max(np.linalg.norm(place, axis=1))
-        strain = np.sum(self.mass) * self.outward * self.radius
-        strain /= np.min(self.system.axial_stiffness_n)
-        place *= 1.0 + min(max(strain, 1e-9), 0.05)
-        self.scale = self.outward * self.radius * np.mean(self.mass)
-        stiffest = np.max(self.arrays.stiffness)
-        self.rounding = 8 * np.finfo(float).eps * self.radius * stiffest / self.scale
-        self.pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
-        return place
-
-    def force(self, place):
-        """What is left of all forces, (n, 3) [N]."""
-        acceleration = np.empty_like(place)
-        forces.acceleration(self.arrays, self.taut, 0.0, self.still, place, acceleration)
-        acceleration[:, 2] -= self.inward * place[:, 2]
-        return self.mass[:, None] * acceleration
-
-    def factor(self, place, slow=0.0):
-        """Factor the derivatives of the accelerations there, less `slow` [1/s^2] times the unit."""
-        by_r, n = self.by_r, self.system.n
-        forces.jacobian(
-            self.arrays, self.symbolic.pair, self.taut, 0.0, self.still, place, by_r, self.by_v
-        )
-        by_r[:n, 2, 2] -= self.inward
-        by_r[:n] -= slow * np.eye(3)
-        # The equilibrium may lie at any angle, and no force tells: a spring holds one bead's.
-        pinned = slice(self.pinned, self.pinned + 1)
-        along = rigid_velocity(place[pinned], 1.0)[0] / self.radius
-        by_r[self.pinned] -= np.max(np.abs(by_r[self.pinned])) * np.outer(along, along)
-        block_lu.factor(self.symbolic, by_r)
-
-    def correction(self, force):
-        """Change of the places that would make this force vanish, by the factored derivatives."""
-        step = -force / self.mass[:, None]
-        block_lu.solve(self.symbolic, self.by_r, step)
-        return step
-
-    def balanced(self, place):
-        """Places where forces balance with the tethers that are taut there, and the force left."""
-        self.taut[:] = True
-        for _ in range(MOST_MODE_CHANGES):
-            place, force = self.newton(place)
-            stretched = forces.acting_tethers(self.system, place, self.still)
-            if np.array_equal(stretched, self.taut):
-                break
-            self.taut = stretched
-        return place, force
-
-    def settled(self, place):
-        """Places to which beads settle in a thick fluid: near a balance that is stable.
-
-        Implicit steps along the forces, longer as these fall (pseudo-transient continuation; C. T.
-        Kelley and D. E. Keyes, SIAM J. Numer. Anal. 35, 1998).
-        """
-        force = self.force(place)
-        first = np.max(np.abs(force))
-        for _ in range(MOST_RELAXATIONS):
-            size = np.max(np.abs(force))
-            if not size > BALANCED * self.scale:
-                break
-            self.factor(place, slow=self.outward * size / first)
-            step = self.correction(force)
-            if not np.isfinite(step).all():
-                break
-            place = place + step * min(1.0, 0.1 * self.radius / np.max(np.abs(step)))
-            force = self.force(place)
-        return place
-
-    def newton(self, place):
-        """Places where forces balance, as far as Newton's method leads, and the force left."""
-        force = self.force(place)
-        for _ in range(MOST_CORRECTIONS):
-            if np.max(np.abs(force)) < 1e-12 * self.scale:
-                break
-            self.factor(place)
-            step = self.correction(force)
-            if not np.isfinite(step).all():
-                break
-            # Forces tell nothing of the distance to go where tethers are stiff; corrections do.
-            size = min(1.0, 0.3 * self.radius / max(np.max(np.abs(step)), 1e-300))
-            best = np.sum(step * step)
-            trial = self.force(place + size * step)
-            while size > 1e-6 and not np.sum(self.correction(trial) ** 2) < (1.0 - size / 2) * best:
-                size *= 0.5
-                trial = self.force(place + size * step)
-            if size <= 1e-6:
-                break
-            place, force = place + size * step, trial
-        return place, force
+    turning = system.turning_rad_s(spin)
+    if spin and not turning:
+        state, axis = resting_state(system, spin)
+        origin = f"averaged gravity gradient, {axis}"
+        return InitialState(state.position_m, state.velocity_m_s, origin)
+    place = AveragedBalance(system, system.layout_m, turning).solved(spin_rate_ratio)
+    return InitialState(place, rigid_velocity(place, turning), "averaged gravity gradient")
 
 
 @checked

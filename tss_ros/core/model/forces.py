@@ -63,6 +63,12 @@ def acceleration(arrays, taut, time, v, r, a):
         a[i, 0] = gx + fx
         a[i, 1] = gy + fy
         a[i, 2] = gz
+    dx, dy = arrays.drive_across
+    if dx != 0.0 or dy != 0.0:
+        for i in range(r.shape[0]):
+            a[i, 0] += dy * r[i, 2]
+            a[i, 1] -= dx * r[i, 2]
+            a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -96,6 +102,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
     centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
     turning = arrays.rate + arrays.spin
+    dx, dy = arrays.drive_across
     by_r[:] = 0.0
     by_v[:] = 0.0
     for i in range(r.shape[0]):
@@ -110,6 +117,11 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
         _, by_v[i, 1, 0] = inertia(0.0, 0.0, 1.0, 0.0, centrifugal, 2.0 * turning, arrays.drive)
         x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
         bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
+        if dx != 0.0 or dy != 0.0:
+            by_r[i, 0, 2] += dy
+            by_r[i, 1, 2] -= dx
+            by_r[i, 2, 0] -= dy
+            by_r[i, 2, 1] += dx
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]

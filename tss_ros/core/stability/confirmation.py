@@ -11,6 +11,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
@@ -41,8 +42,8 @@ class DisturbedMotion:
     Attributes
     ----------
     held : bool
-        No bead left its distance from the centre of mass, nor its undisturbed height over the
-        orbit plane, by more than `LOST`; the formation turned as often as it should, within
+        No bead left its distance from the centre of mass, nor its undisturbed height along the
+        spin axis, by more than `LOST`; the formation turned as often as it should, within
         `ASTRAY`; and no tether shrank to `COLLAPSED`.
     turned : float
         Turns about the centre of mass in the sense of the spin over those that it should make, of
@@ -106,7 +107,7 @@ class Confirmation(Presented, Stored, DisturbedMotion):
         if not self.deviation_from_centre < LOST:
             return f"a bead left its distance from the centre by {self.deviation_from_centre:.2%}"
         if not self.held:
-            return f"a bead left its height over the orbit plane by more than {LOST:.0%}"
+            return f"a bead left its height along the spin axis by more than {LOST:.0%}"
         farthest = f"the farthest {self.deviation_from_centre:.2%}"
         return f"no bead left its place by {LOST:.0%}, {farthest}"
 
@@ -230,7 +231,7 @@ def confirm(
     state = undisturbed.state
     seen = undisturbed.compare(disturbed(state, disturbance_m, seed), cancelled)
     _, nudged, *_ = undisturbed.run(disturbed(state, SMALL * undisturbed.size_m, seed), cancelled)
-    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg)
+    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg, undisturbed.axis)
     return Confirmation(**vars(seen), growth_per_turn=growth)
 
 
@@ -278,6 +279,7 @@ class UndisturbedMotion:
         self._times = np.linspace(0.0, turns * self._period_s, turns * SAMPLES + 1)
         self._radius = np.linalg.norm(state.position_m, axis=1)
         self.size_m = np.max(self._radius)
+        self.axis = spin_axis_of(system, state, system.spin_rate_rad_s(spin_rate_ratio))
         self._position, self.arms_m, *_ = self.run(state, cancelled)
         self._distance = np.linalg.norm(self.arms_m, axis=2)
 
@@ -314,13 +316,13 @@ class UndisturbedMotion:
         position, arms, velocity, switches = self.run(start, cancelled)
         length, tension, taut = tether_state(system, position, velocity)
         shortest = float(np.min(length / system.rest_length_m))
-        made = turns_made(arms, self._ratio) / self._turns
+        made = turns_made(arms, self._ratio, self.axis) / self._turns
         turned = float(made[np.nanargmax(np.abs(made - 1.0))])
         beyond = self._radius > 1e-6 * size
         distance = np.linalg.norm(arms, axis=2)
         history = np.max(np.abs(distance - self._distance), axis=1) / size
         from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
-        height = np.max(np.abs(position - self._position)[:, :, 2]) / size
+        height = np.max(np.abs((position - self._position) @ self.axis)) / size
         loud = np.flatnonzero(history > 0.1 * np.max(history))
         settled = loud[-1] + 1 < len(times) - SAMPLES // 2
         near = max(from_centre, height) < LOST
@@ -341,10 +343,10 @@ class UndisturbedMotion:
         )
 
 
-def _growth(nudged, calm, mass):
+def _growth(nudged, calm, mass, axis):
     """Growth a turn of the difference between two motions, arms (k, n, 3), but for the phase."""
     size = np.max(np.linalg.norm(calm[0], axis=1))
-    difference, along = nudged - calm, np.cross([0.0, 0.0, 1.0], calm)
+    difference, along = nudged - calm, np.cross(axis, calm)
     phase = np.einsum("i,kic,kic->k", mass, along, difference)
     phase /= np.einsum("i,kic,kic->k", mass, along, along)
     difference = difference - phase[:, None, None] * along
