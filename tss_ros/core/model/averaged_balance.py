@@ -78,7 +78,7 @@ class AveragedBalance:
             )
         return place
 
-    def start(self):
+    def start(self) -> np.ndarray:
         """The layout, stretched by about what the spin does."""
         place = np.array(self.layout_m)
         place -= np.average(place, axis=0, weights=self.mass)
@@ -92,14 +92,14 @@ class AveragedBalance:
         self.pinned = int(np.argmax(np.linalg.norm(place, axis=1)))
         return place
 
-    def force(self, place):
+    def force(self, place: np.ndarray) -> np.ndarray:
         """What is left of all forces, (n, 3) [N]."""
         acceleration = np.empty_like(place)
         forces.acceleration(self.arrays, self.taut, 0.0, self.still, place, acceleration)
         acceleration[:, 2] -= self.inward * place[:, 2]
         return self.mass[:, None] * acceleration
 
-    def factor(self, place, slow=0.0):
+    def factor(self, place: np.ndarray, slow: float = 0.0) -> None:
         """Factor the derivatives of the accelerations there, less `slow` [1/s^2] times the unit."""
         by_r, n = self.by_r, self.system.n
         forces.jacobian(
@@ -113,13 +113,13 @@ class AveragedBalance:
         by_r[self.pinned] -= np.max(np.abs(by_r[self.pinned])) * np.outer(along, along)
         block_lu.factor(self.symbolic, by_r)
 
-    def correction(self, force):
+    def correction(self, force: np.ndarray) -> np.ndarray:
         """Change of the places that would make this force vanish, by the factored derivatives."""
         step = -force / self.mass[:, None]
         block_lu.solve(self.symbolic, self.by_r, step)
         return step
 
-    def balanced(self, place):
+    def balanced(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places where forces balance with the tethers that are taut there, and the force left."""
         self.taut[:] = True
         for change in range(MOST_MODE_CHANGES):
@@ -146,11 +146,11 @@ class AveragedBalance:
         names = ", ".join(pushes[:MOST_NAMED]) + (" ..." if len(pushes) > MOST_NAMED else "")
         return f"; to hold the shape tethers would have to push, {names}"
 
-    def stretched(self, place):
+    def stretched(self, place: np.ndarray) -> np.ndarray:
         """Which tethers pull there, (m,) bool."""
         return forces.acting_tethers(self.system, place, self.still)
 
-    def settled(self, place):
+    def settled(self, place: np.ndarray) -> np.ndarray:
         """Places to which beads settle in a thick fluid: near a balance that is stable.
 
         Implicit steps along the forces, longer as these fall (pseudo-transient continuation; C. T.
@@ -170,7 +170,7 @@ class AveragedBalance:
             force = self.force(place)
         return place
 
-    def newton(self, place):
+    def newton(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places where forces balance, as far as Newton's method leads, and the force left."""
         force = self.force(place)
         for _ in range(MOST_CORRECTIONS):

@@ -115,12 +115,6 @@ def compute_floquet(
         leading = LEADING
     if leading is not None and not 1 <= leading < 6 * system.n:
         raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
-    if leading is not None and spin and not integrator.arrays.spin:
-        words = (
-            f"leading multipliers, and those of more than {MOST_BEADS} beads, are found for a spin"
-            f" about the orbit normal only, not about {named(system.spin_axis)}"
-        )
-        return _without_motion(method, system, spin, start, words)
     try:
         if leading is not None:
             return _leading(integrator, start, leading, correct, cancelled)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.axes import apart_deg, spin_axis_of
-from tss_ros.core.model.configurations import averaged_state
+from tss_ros.core.model.configurations import InitialState, averaged_state
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability import families
@@ -19,6 +19,7 @@ from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.families import Closed
+from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
 
 #: Largest angle [degrees] from the averaged configuration's axis to the motion's.
 FARTHEST_AXIS_DEG = 10.0
@@ -53,19 +54,34 @@ def formation_motion(
         return families.own_motion(system, ratio, cancelled)
     try:
         start = averaged_state(system, ratio)
-        motion = families.nearest_motion(system, ratio, start, cancelled)
-        refusal = refused(system, ratio, motion)
-    except (NoSteadyState, IntegrationError) as error:
+    except NoSteadyState as error:
         raise Ended(str(error)) from None
-    if refusal:
-        raise Ended(f"{refusal}, from {start.origin}")
+    refusal = ""
+    for nearer in (lambda: start, lambda: _balanced(system, spin, start, cancelled)):
+        try:
+            motion = families.nearest_motion(system, ratio, nearer(), cancelled)
+            reason = refused(system, ratio, motion) or _astray(system, spin, start, motion)
+        except IntegrationError as error:
+            reason = str(error)
+        if not reason:
+            return motion
+        refusal = refusal or reason
+    raise Ended(f"{refusal}, from {start.origin}")
+
+
+def _balanced(system, spin, start, cancelled):
+    """A start nearer to the motion where the averaged configuration sways much."""
+    integrator = Integrator(system, spin, families.RTOL, families.size_of(system))
+    state = close_by_harmonic_balance(integrator, start, cancelled)
+    return InitialState(state.position_m, state.velocity_m_s, start.origin)
+
+
+def _astray(system, spin, start, motion):
+    """Why a motion is that of another axis, in words."""
     axes = [spin_axis_of(system, state, spin) for state in (start, motion.state)]
     if (apart := apart_deg(*axes)) > FARTHEST_AXIS_DEG:
-        raise Ended(
-            f"the only motion found spins about an axis {apart:.1f} degrees from that of the start"
-            f" from {start.origin}"
-        )
-    return motion
+        return f"the only motion found spins about an axis {apart:.1f} degrees from the steady one"
+    return ""
 
 
 def refused(system: System, ratio: float, motion: Closed) -> str:
