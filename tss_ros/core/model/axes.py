@@ -25,16 +25,22 @@ from tss_ros.core.model.system import State, System
 CYLINDRICAL, CONICAL, HYPERBOLIC = FAMILIES = ("cylindrical", "conical", "hyperbolic")
 #: f in s3 = C w / (f (A - C)).
 _FACTOR = {CONICAL: 4.0, HYPERBOLIC: 1.0}
+#: Most beads of a formation whose shape and axis are found together.
+MOST_BEADS = 400
 #: Farthest [degrees] from the given axis at which one is sought.
 NEAR_DEG = 45.0
 #: A tether shorter than this share of its rest length has collapsed.
 COLLAPSED = 0.5
+#: Largest distance of a bead from its place in the layout, over the radius.
+FARTHEST_MOVED = 0.6
 #: Rates over the one asked for from which a balance is sought that is not found from the layout,
 #: steps on the way, and most beads of a system for which that is done.
 NEARBY, STEPS, MOST_SOUGHT = (0.95, 1.05, 0.9, 1.1, 0.8, 1.25, 0.65, 1.5), 9, 30
 #: Relative difference of the two moments of inertia across the axis that is worth a word, and
 #: largest share of A that C may have for a formation that lies on its axis.
 UNEVEN, ON_AXIS = 0.01, 1e-6
+#: What is added to a body's moments of inertia, over their sum.
+ROUNDING = 1e-12
 
 
 def spin_axis_of(system: System, state: State, spin_rate_rad_s: float) -> np.ndarray:
@@ -51,7 +57,7 @@ def spin_axis_of(system: System, state: State, spin_rate_rad_s: float) -> np.nda
     -------
     ndarray, shape (3,)
         That of the system where it is the orbit normal, or where there is no spin; else that of
-        the angular momentum about the centre of mass, as seen in the orbit frame.
+        the turn of a rigid body with the same angular momentum, as seen in the orbit frame.
     """
     if system.turning_rad_s(spin_rate_rad_s) or not spin_rate_rad_s:
         return system.spin_axis
@@ -59,9 +65,12 @@ def spin_axis_of(system: System, state: State, spin_rate_rad_s: float) -> np.nda
     arm, speed = (
         x - np.average(x, axis=0, weights=mass) for x in (state.position_m, state.velocity_m_s)
     )
-    momentum = mass @ np.cross(arm, speed)
-    size = math.copysign(np.linalg.norm(momentum), spin_rate_rad_s)
-    return momentum / size if size else system.spin_axis
+    momentum, second = mass @ np.cross(arm, speed), (mass[:, None] * arm).T @ arm
+    # A line of beads tells no turn about itself: there is none, then.
+    inertia = np.trace(second) * (1.0 + ROUNDING) * np.eye(3) - second
+    turn = np.linalg.solve(inertia, momentum) if np.trace(second) else np.zeros(3)
+    size = math.copysign(np.linalg.norm(turn), spin_rate_rad_s)
+    return turn / size if size else system.spin_axis
 
 
 def apart_deg(a: np.ndarray, b: np.ndarray) -> float:
@@ -97,6 +106,11 @@ def resting_state(system: System, spin_rate_rad_s: float) -> tuple[State, str]:
         raise NoSteadyState(f"no formation spins about {named(given)}: all its beads lie on it")
     ratio = spin_rate_rad_s / system.orbit_rate_rad_s
     family, s3 = _nearest(given, ratio, about, 0.5 * (first + second))
+    if family != CYLINDRICAL and system.n > MOST_BEADS:
+        raise NoSteadyState(
+            f"steady axes other than the orbit normal are sought for at most {MOST_BEADS} beads,"
+            f" got {system.n} about {named(given)}"
+        )
     if family == CYLINDRICAL:
         axis = math.copysign(1.0, given[2]) * Z_AXIS
         place = layout @ turn_to(axis, given).T
@@ -128,43 +142,47 @@ def _balanced(system, body, spin, family, s3):
     Where they are not found from the layout they are sought along the rate, from one nearby.
     """
     try:
-        return _from(system, body, spin, family, s3)
+        return _from(system, body, body, spin, family, s3)
     except NoSteadyState as error:
         refusal, known = str(error), ""
     for share in NEARBY if system.n <= MOST_SOUGHT else ():
         try:
-            place, there = _from(system, body, spin * share, family, s3 * share)
+            place, there = _from(system, body, body, spin * share, family, s3 * share)
         except NoSteadyState:
             continue
         known = f"; there is one at {spin * share / system.orbit_rate_rad_s:.4g}"
         try:
             for rate in np.linspace(share, 1.0, STEPS)[1:]:
-                place, there = _from(system, place, spin * rate, family, there)
+                place, there = _from(system, body, place, spin * rate, family, there)
             return place, there
         except NoSteadyState:
             break
     raise NoSteadyState(refusal + known)
 
 
-def _from(system, body, spin, family, s3):
-    """Places and s3 to which Newton's method leads from given ones."""
+def _from(system, layout, place, spin, family, s3):
+    """Places and s3 to which Newton's method leads from given ones, next to the layout."""
     ratio = spin / system.orbit_rate_rad_s
-    balance = _AxisBalance(system, body, spin, family, s3)
+    balance = _AxisBalance(system, place, spin, family, s3)
     found = balance.solved(ratio)
-    _require_shape(balance, found[:-1], ratio)
+    _require_shape(balance, layout, found[:-1], ratio)
     return found[:-1], found[-1, 0] / balance.radius
 
 
-def _require_shape(balance, place, ratio):
-    """Refuse a balance in which the formation has fallen together."""
+def _require_shape(balance, layout, place, ratio):
+    """Refuse a balance in which the formation has fallen together, or tipped over."""
     system = balance.system
     share = forces.lengths_and_rates(system, place, place)[0] / system.rest_length_m
     worst = int(np.argmin(share))
-    about, before = (_moments(x, system.mass_kg)[0] for x in (place, balance.layout_m))
+    about, before = (_moments(x, system.mass_kg)[0] for x in (place, layout))
+    moved = np.linalg.norm(place - layout, axis=1) / np.max(np.linalg.norm(layout, axis=1))
+    farthest = int(np.argmax(moved))
     if share[worst] < COLLAPSED:
         words = f"tether {system.tether_name[worst]} shrinks to {share[worst]:.2g} of its length"
     elif about < COLLAPSED**4 * before:
         words = f"all beads fall to {math.sqrt(about / before):.2g} of their distance from the axis"
+    elif moved[farthest] > FARTHEST_MOVED:
+        words = f"{system.bead_name[farthest]} moves by {moved[farthest]:.2f} of the radius"
     else:
         return
     raise NoSteadyState(
