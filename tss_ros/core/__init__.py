@@ -12,9 +12,7 @@ if TYPE_CHECKING:
 
 #: Where names are that need no numerical libraries; those take seconds to load.
 _QUICK = dict.fromkeys(("Cancelled", "IntegrationError", "NoSteadyState", "TssError"), "errors")
-_QUICK |= dict.fromkeys(
-    ("LAW_PARAMETERS", "PERTURBATIONS", "TETHER_LAWS"), "model.laws"
-)
+_QUICK |= dict.fromkeys(("LAW_PARAMETERS", "PERTURBATIONS", "TETHER_LAWS"), "model.laws")
 
 
 def __dir__() -> list[str]:

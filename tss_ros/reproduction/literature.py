@@ -284,7 +284,7 @@ def pyramid() -> System:
 
 
 def conical_tilt_deg(rate: float) -> float:
-    """Angle from the vertical at which the axis of the rigid pyramid rests: s3 = C w / 4 (A - C)."""
+    """Angle from the vertical at which a rigid pyramid's axis rests: s3 = C w / 4 (A - C)."""
     system = pyramid()
     x, y, z = system.layout_m.T
     about = float(system.mass_kg @ (x * x + z * z))

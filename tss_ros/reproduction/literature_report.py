@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from tss_ros.command_line import Parser
 from tss_ros.core import Cancelled
@@ -21,6 +20,7 @@ from tss_ros.plots.style import (
     LINE_STYLES,
     MARKERS,
     VERDICT_STYLES,
+    Figure,
     finish,
     legend_below,
 )

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from tss_ros.core.model import forces
-from tss_ros.core.model.frames import rigid_velocity
-from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
+from tss_ros.core.model.kernel_arrays import KernelArrays
 from tss_ros.core.model.system import System
 from tss_ros.core.numerics import block_lu
 
@@ -95,13 +92,22 @@ class Balance:
     def balanced(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places where forces balance with the tethers that are taut there, and the force left."""
         self.taut[:] = True
-        for _ in range(MOST_MODE_CHANGES):
+        for change in range(MOST_MODE_CHANGES):
             place, force = self.newton(place)
-            stretched = forces.acting_tethers(self.system, place, self.still)
+            if not change and np.max(np.abs(force)) <= BALANCED * self.scale:
+                self.all_taut(place)
+            stretched = self.stretched(place)
             if np.array_equal(stretched, self.taut):
                 break
             self.taut = stretched
         return place, force
+
+    def stretched(self, place: np.ndarray) -> np.ndarray:
+        """Which tethers pull there, (m,) bool."""
+        return forces.acting_tethers(self.system, place, self.still)
+
+    def all_taut(self, place: np.ndarray) -> None:
+        """Told of the balance that all tethers together make, pushing where they must."""
 
     def settled(self, place: np.ndarray) -> np.ndarray:
         """Places to which beads settle in a thick fluid: near a balance that is stable.
@@ -145,28 +151,3 @@ class Balance:
                 break
             place, force = place + size * step, trial
         return place, force
-
-
-class AveragedBalance(Balance):
-    """That of a rigid turn under the gravity gradient averaged over it."""
-
-    def __init__(self, system: System, spin: float):
-        rate = system.orbit_rate_rad_s
-        outward = spin**2 + 2.0 * rate * spin + 1.5 * rate**2
-        # Without an orbit the turning frame leaves centrifugal force and tethers alone, so a spin
-        # of sqrt(outward) with the orbital rate at zero has the averaged in-plane balance.
-        arrays = kernel_arrays(system, math.sqrt(outward))
-        super().__init__(system, arrays._replace(rate=0.0, bilateral=True, acting=0), outward)
-        self.inward = rate**2
-
-    def more(self, place: np.ndarray) -> np.ndarray:
-        """What draws beads back to the orbit plane."""
-        return place * [0.0, 0.0, -self.inward]
-
-    def more_by_place(self, by_r: np.ndarray) -> None:
-        """Its derivatives."""
-        by_r[:, 2, 2] -= self.inward
-
-    def free(self, place: np.ndarray) -> np.ndarray:
-        """The equilibrium may lie at any angle: along the turn."""
-        return rigid_velocity(place[None], 1.0)[0] / self.radius

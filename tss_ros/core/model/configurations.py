@@ -13,9 +13,10 @@ from scipy.optimize import root
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import NoSteadyState, TssError
 from tss_ros.core.model import forces
-from tss_ros.core.model.balance import BALANCED, AveragedBalance
+from tss_ros.core.model.averaged_balance import AveragedBalance
+from tss_ros.core.model.axes import resting_state
 from tss_ros.core.model.equilibria import equilibrium
-from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.frames import rigid_velocity, turn_to
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System, finite
 
@@ -30,7 +31,8 @@ class InitialState(State):
     Attributes
     ----------
     origin : str
-        "Eqs. 50-51", "Eq. 54", "averaged gravity gradient" or `EQUILIBRIUM`.
+        "Eqs. 50-51", "Eq. 54", "averaged gravity gradient", with the axis if that was found, or
+        `EQUILIBRIUM`.
     """
 
     origin: str = ""
@@ -80,11 +82,11 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
         place = equilibrium(system)
         yield InitialState(place, np.zeros_like(place), EQUILIBRIUM)
         return
-    units = ring_units(system)
+    units = ring_units(system) if (turning := system.turning_rad_s(spin)) else 0
     if not units or system.n // units > 2:
         yield averaged_state(system, spin_rate_ratio)
         return
-    yield _paper_configuration(system, spin, units)
+    yield _paper_configuration(system, turning, units)
     with contextlib.suppress(NoSteadyState):
         averaged = averaged_state(system, spin_rate_ratio)
         yield averaged
@@ -114,6 +116,8 @@ def _paper_configuration(system, spin, units):
     per_unit = system.n // units
     angle = math.pi / 2 + 2.0 * math.pi * np.arange(system.n) / system.n
     outward = np.stack([np.cos(angle), np.sin(angle), np.zeros(system.n)], axis=1)  # Eq. (50)
+    if system.spin_axis[2] < 0.0:
+        outward = outward @ turn_to(system.spin_axis).T
     arrays = kernel_arrays(system, 0.0)
     taut = np.ones(system.m, dtype=bool)
     acceleration = np.empty((system.n, 3))
@@ -139,7 +143,8 @@ def _paper_configuration(system, spin, units):
     rounding = 16 * np.finfo(float).eps * np.max(stiffness) / np.min(system.mass_kg) / spin**2
     if not error < 1e-8 + rounding or np.min(solution.x) <= 0.0:
         raise NoSteadyState(
-            f"no steady configuration found for spin_rate_ratio {spin / system.orbit_rate_rad_s:g}:"
+            "no steady configuration found for spin_rate_ratio"
+            f" {spin * system.spin_axis[2] / system.orbit_rate_rad_s:g}:"
             f" Eq. (51) is left with a relative imbalance of {error:.1e}"
         )
     return InitialState(*state(solution.x), "Eqs. 50-51" if per_unit == 1 else "Eq. 54")
@@ -147,7 +152,10 @@ def _paper_configuration(system, spin, units):
 
 @checked
 def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
-    """Rotating equilibrium under the gravity gradient averaged over one turn, 1.5 Omega^2 in plane.
+    """Rotating equilibrium under the gravity gradient averaged over one turn.
+
+    That is 1.5 Omega^2 in plane for an axis along the orbit normal. Another axis is found with the
+    shape, next to that of the system: the one of a family of `axes` at which it rests.
 
     Parameters
     ----------
@@ -163,24 +171,18 @@ def averaged_state(system: System, spin_rate_ratio: float) -> InitialState:
     TssError
         If the rate is not allowed.
     NoSteadyState
-        If none was found near the system's layout.
+        If none was found near the system's layout and axis.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     if not spin:
         raise TssError("spin_rate_ratio of a rotating state must not be 0, got 0")
-    balance = AveragedBalance(system, spin)
-    place, force = balance.balanced(start := balance.start(system.layout_m))
-    if np.max(np.abs(force)) > BALANCED * balance.scale:
-        place, force = balance.balanced(balance.settled(start))
-    left = np.max(np.abs(force), axis=1)
-    worst = int(np.argmax(left))
-    if not left[worst] < balance.scale * (BALANCED + balance.rounding):
-        raise NoSteadyState(
-            f"no steady configuration found for spin_rate_ratio {spin_rate_ratio:g}:"
-            f" {system.bead_name[worst]} is left out of balance by {left[worst]:.3g} N,"
-            f" {left[worst] / balance.scale:.1e} of the mean centrifugal force"
-        )
-    return InitialState(place, rigid_velocity(place, spin), "averaged gravity gradient")
+    turning = system.turning_rad_s(spin)
+    if not turning:
+        state, axis = resting_state(system, spin)
+        origin = f"averaged gravity gradient, {axis}"
+        return InitialState(state.position_m, state.velocity_m_s, origin)
+    place = AveragedBalance(system, system.layout_m, turning).solved(spin_rate_ratio)
+    return InitialState(place, rigid_velocity(place, turning), "averaged gravity gradient")
 
 
 @checked

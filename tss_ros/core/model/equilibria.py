@@ -14,7 +14,7 @@ import numpy as np
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
 from tss_ros.core.model.balance import BALANCED, Balance
-from tss_ros.core.model.frames import rotated_about_z
+from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.model.system import System
@@ -120,7 +120,7 @@ class _OrbitFrameBalance(Balance):
         if self.system.linear_gravity:
             return place - [x, 0.0, 0.0]
         earth = np.array([0.0, -self.system.orbit_radius_m, 0.0])
-        return rotated_about_z(place - earth, math.atan2(x, y - earth[1])) + earth
+        return (place - earth) @ turn_about(Z_AXIS, math.atan2(x, y - earth[1])).T + earth
 
     def left(self, force):
         """The bead farthest out of balance, by how much [N], and over what counts as none."""

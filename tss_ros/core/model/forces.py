@@ -109,6 +109,12 @@ def acceleration(arrays, taut, time, v, r, a):
             a[i, 0] = gx + fx
             a[i, 1] = gy + fy
             a[i, 2] = gz
+    dx, dy = arrays.drive_across
+    if dx != 0.0 or dy != 0.0:
+        for i in range(r.shape[0]):
+            a[i, 0] += dy * r[i, 2]
+            a[i, 1] -= dx * r[i, 2]
+            a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -151,6 +157,13 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             _linearise_inertia(arrays, centrifugal, turning, by_r[i], by_v[i])
             x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
             bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
+    dx, dy = arrays.drive_across
+    if dx != 0.0 or dy != 0.0:
+        for i in range(r.shape[0]):
+            by_r[i, 0, 2] += dy
+            by_r[i, 1, 2] -= dx
+            by_r[i, 2, 0] -= dy
+            by_r[i, 2, 1] += dx
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]

@@ -12,50 +12,52 @@ import numpy as np
 
 from tss_ros.core.numerics.simd import inlined, kernel, python_kernel
 
+#: The z axis.
+Z_AXIS = np.array([0.0, 0.0, 1.0])
+Z_AXIS.flags.writeable = False
 
-def rigid_velocity(position_m: np.ndarray, spin_rate_rad_s: float) -> np.ndarray:
-    """Velocities omega z x r of a rigid turn about z, the initial ones of section 2.1.
+
+def rigid_velocity(
+    position_m: np.ndarray, spin_rate_rad_s: float, axis: np.ndarray = Z_AXIS
+) -> np.ndarray:
+    """Velocities omega s x r of a rigid turn about an axis s, the initial ones of section 2.1.
 
     Parameters
     ----------
-    position_m : ndarray, shape (n, 3)
+    position_m : ndarray, shape (..., 3)
     spin_rate_rad_s : float
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        [m/s]
-    """
-    x, y = position_m[:, 0], position_m[:, 1]
-    return spin_rate_rad_s * np.stack([-y, x, np.zeros_like(x)], axis=1)
-
-
-def rotated_about_z(x: np.ndarray, angle: float) -> np.ndarray:
-    """Vectors turned counter-clockwise about z.
-
-    Parameters
-    ----------
-    x : ndarray, shape (..., 3)
-    angle : float
-        [rad]
+    axis : ndarray, shape (3,)
+        Unit vector.
 
     Returns
     -------
     ndarray, shape (..., 3)
+        [m/s]
     """
-    c, s = math.cos(angle), math.sin(angle)
-    return np.stack(
-        [c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1], x[..., 2]], axis=-1
-    )
+    return spin_rate_rad_s * (position_m @ crossed(axis).T)
 
 
-def turn_to(axis: np.ndarray) -> np.ndarray:
-    """The shortest turn (3, 3) that takes the z axis to a unit vector; about x if it is -z."""
+def crossed(axis: np.ndarray) -> np.ndarray:
+    """The matrix (3, 3) that takes r to axis x r."""
     x, y, z = axis
-    if z <= -1.0 + 1e-15:
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1.0 + z)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The turn (3, 3) counter-clockwise about a unit vector by an angle [rad]."""
+    cross = crossed(axis)
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+
+
+def turn_to(axis: np.ndarray, start: np.ndarray = Z_AXIS) -> np.ndarray:
+    """The shortest turn (3, 3) from a unit vector to another; half a turn where they oppose."""
+    cosine = float(np.dot(start, axis))
+    if cosine <= -1.0 + 1e-15:
+        across = np.eye(3)[np.argmin(np.abs(start))]
+        across = across - (across @ start) * start
+        return 2.0 * np.outer(across, across) / (across @ across) - np.eye(3)
+    cross = crossed(np.cross(start, axis))
+    return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
 
 
 @inlined

@@ -27,7 +27,9 @@ class KernelArrays(NamedTuple):
     spin : float
         omega [rad/s] of the turning frame against the orbit frame; 0 is the orbit frame itself.
     drive : float
-        [1/s^2] see `laws.inertia`; 0 but where motions are closed.
+        [1/s^2] about z, see `laws.inertia`; 0 but where motions are closed.
+    drive_across : tuple of two float
+        [1/s^2] the same about x and y, in the orbit frame only; 0 but for other axes than z.
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -60,6 +62,7 @@ class KernelArrays(NamedTuple):
     radius: float
     spin: float
     drive: float
+    drive_across: tuple[float, float]
     bilateral: bool
     pushes: bool
     tension: int
@@ -98,6 +101,7 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         radius=float(system.orbit_radius_m),
         spin=float(spin_rate_rad_s),
         drive=0.0,
+        drive_across=(0.0, 0.0),
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

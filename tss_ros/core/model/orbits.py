@@ -17,7 +17,7 @@ from numpy.polynomial.polynomial import polyint
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.elements import axes_of, eccentric_anomaly, of_degrees
-from tss_ros.core.model.frames import rigid_velocity, rotated_about_z
+from tss_ros.core.model.frames import Z_AXIS, rigid_velocity, turn_about
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
 from tss_ros.core.model.laws.solar_pressure import OBLIQUITY_DEG
@@ -199,9 +199,9 @@ class ReferenceOrbit:
         axes, turning = self.frame(time_s)
         fixed_v, fixed_r = np.empty_like(v), np.empty_like(r)
         for k, time in enumerate(time_s):
-            angle = self.rate_rad_s * time
-            fixed_r[k] = rotated_about_z(r[k], angle)
-            fixed_v[k] = rotated_about_z(v[k] + rigid_velocity(r[k], self.rate_rad_s), angle)
+            turn = turn_about(Z_AXIS, self.rate_rad_s * time)
+            fixed_r[k] = r[k] @ turn.T
+            fixed_v[k] = (v[k] + rigid_velocity(r[k], self.rate_rad_s)) @ turn.T
         fixed_v -= np.cross(turning[:, None], fixed_r)
         return tuple(np.einsum("kij,knj->kni", axes, x) for x in (fixed_v, fixed_r))
 

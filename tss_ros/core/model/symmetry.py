@@ -6,18 +6,18 @@ autonomous, so the motion closes over T as soon as it does over T/k with the bea
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tss_ros.core.model.frames import rotated_about_z
+from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.model.system import System
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Rotation by 1/order of a circle about z.
+    """Rotation by 1/order of a circle about the spin axis.
 
     Attributes
     ----------
@@ -26,10 +26,13 @@ class Symmetry:
     successor : ndarray, shape (n,), int
         The bead in whose place each bead comes to lie by a counter-clockwise rotation of
         2 pi / k.
+    axis : ndarray, shape (3,)
+        Unit vector about which that is.
     """
 
     order: int
     successor: np.ndarray
+    axis: np.ndarray = field(default_factory=lambda: Z_AXIS)
 
     def back(self, clockwise: bool, x: np.ndarray) -> np.ndarray:
         """Rotate and rename scaled coordinates (6n, ...) so that 1/k of a turn becomes none.
@@ -47,18 +50,22 @@ class Symmetry:
             In the turning frame at time 0, each bead's row with the one whose place it took.
         """
         angle = 2.0 * math.pi / self.order * (-1.0 if clockwise else 1.0)
+        turned = turn_about(self.axis, angle) @ x.reshape(2, self.successor.size, 3, -1)
+        return self.renamed(clockwise, turned.reshape(x.shape))
+
+    def renamed(self, clockwise: bool, x: np.ndarray) -> np.ndarray:
+        """The same for coordinates in the orbit frame, in which nothing is to be rotated."""
         before = x.reshape(2, self.successor.size, 3, -1)
-        turned = np.moveaxis(rotated_about_z(np.moveaxis(before, 2, -1), angle), -1, 2)
-        after = np.empty_like(turned)
+        after = np.empty_like(before)
         if clockwise:
-            after[:] = turned[:, self.successor]
+            after[:] = before[:, self.successor]
         else:
-            after[:, self.successor] = turned
+            after[:, self.successor] = before
         return after.reshape(x.shape)
 
 
 def cyclic_symmetry(system: System) -> Symmetry:
-    """The finest rotation about z that maps a system's layout, masses and tethers on themselves.
+    """The finest rotation about the spin axis that maps layout, masses and tethers on themselves.
 
     Parameters
     ----------
@@ -73,14 +80,15 @@ def cyclic_symmetry(system: System) -> Symmetry:
     tree = cKDTree(place)
     tethers = _tethers(system, np.arange(system.n))
     for order in range(system.n, 1, -1):
-        distance, successor = tree.query(rotated_about_z(place, 2.0 * math.pi / order))
+        turn = turn_about(system.spin_axis, 2.0 * math.pi / order)
+        distance, successor = tree.query(place @ turn.T)
         if (
             np.max(distance) < 1e-9 * size
             and np.unique(successor).size == system.n
             and np.array_equal(system.mass_kg[successor], system.mass_kg)
             and np.array_equal(_tethers(system, successor), tethers)
         ):
-            return Symmetry(order, successor)
+            return Symmetry(order, successor, system.spin_axis)
     return Symmetry(1, np.arange(system.n))
 
 

@@ -105,12 +105,32 @@ class Integrator:
             bound=math.exp(math.lgamma(order + 1) / order),
         )
 
-    def driven(self, share: float) -> Integrator:
-        """The same with a drive, `laws.inertia`, that gives the spin this share of it in a turn."""
-        other = copy.copy(self)
+    def driven(self, share: float, axis: np.ndarray | None = None) -> Integrator:
+        """The same with a drive, `laws.inertia`, that gives the spin this share of it in a turn.
+
+        Parameters
+        ----------
+        share : float
+        axis : ndarray, shape (3,), optional
+            Unit vector in the orbit frame about which it acts: that of the spin, the formation's
+            own if not given. With another one than the orbit normal all steps are implicit.
+        """
+        x, y, z = self.system.spin_axis if axis is None else axis
         drive = share * self.spin / self.period_s
-        other.arrays = self.arrays._replace(drive=drive)
+        return self.with_drive((x * drive, y * drive, z * drive))
+
+    def with_drive(self, drive: tuple[float, float, float]) -> Integrator:
+        """The same with a drive, an angular acceleration [1/s^2] about x, y and z."""
+        other, (x, y, z) = copy.copy(self), map(float, drive)
+        other.arrays = self.arrays._replace(drive=z, drive_across=(x, y))
+        if x or y:
+            other.settings = self.settings._replace(kind=IMPLICIT)
         return other
+
+    @property
+    def drive(self) -> tuple[float, float, float]:
+        """The drive [1/s^2] about x, y and z."""
+        return (*self.arrays.drive_across, self.arrays.drive)
 
     def begin(self, state: State) -> IntegratorState:
         """Start an `IntegratorState` at time 0 from a `State` in the orbit frame.

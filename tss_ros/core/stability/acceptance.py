@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.model import forces
+from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.equilibria import COLLAPSED, loose_beads
+from tss_ros.core.model.frames import Z_AXIS, turn_to
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 
 #: Samples of a turn.
 SAMPLES = 360
-#: Beads nearer to the centre of mass than this share of the farthest may circle it as they like.
+#: Beads nearer to the axis than this share of the farthest may circle it as they like.
 NEAR_CENTRE = 0.1
 
 
@@ -64,17 +66,18 @@ def look(integrator: Integrator, start: State) -> Look:
     held = taut.any(axis=0)
     never_taut = tuple(name for name, ever in zip(system.tether_name, held) if not ever)
     loose = loose_beads(system, held)
+    axis = spin_axis_of(system, start, integrator.spin)
     refusal = (
-        _turned(system, samples.r, integrator.spin)
+        _turned(system, samples.r, integrator.spin, axis)
         or _collapsed(system, length)
         or (loose and f"no tether that is ever taut holds {loose}")
     )
     return Look(forces.pushing_share(tension[:-1], taut[:-1]), never_taut, refusal)
 
 
-def _turned(system: System, r: np.ndarray, spin: float) -> str:
-    """Why positions (k, n, 3) do not turn once in the sense of the spin."""
-    turns = turns_made(r - np.average(r, axis=1, weights=system.mass_kg)[:, None], spin)
+def _turned(system: System, r: np.ndarray, spin: float, axis: np.ndarray) -> str:
+    """Why positions (k, n, 3) do not turn once about an axis in the sense of the spin."""
+    turns = turns_made(r - np.average(r, axis=1, weights=system.mass_kg)[:, None], spin, axis)
     for name, made in zip(system.bead_name, turns):
         if not np.isnan(made) and round(made) != 1:
             return (
@@ -84,8 +87,8 @@ def _turned(system: System, r: np.ndarray, spin: float) -> str:
     return ""
 
 
-def turns_made(arm: np.ndarray, spin: float) -> np.ndarray:
-    """Turns (n,) about z in the sense of the spin; NaN for beads that are near the centre.
+def turns_made(arm: np.ndarray, spin: float, axis: np.ndarray = Z_AXIS) -> np.ndarray:
+    """Turns (n,) about an axis in the sense of the spin; NaN for beads that are near it.
 
     Parameters
     ----------
@@ -93,7 +96,9 @@ def turns_made(arm: np.ndarray, spin: float) -> np.ndarray:
         [m] from the centre of mass, in the orbit frame, at least eight a turn.
     spin : float
         Of which the sign counts.
+    axis : ndarray, shape (3,)
     """
+    arm = arm @ turn_to(axis)
     distance = np.mean(np.hypot(arm[:, :, 0], arm[:, :, 1]), axis=0)
     angle = np.unwrap(np.arctan2(arm[:, :, 1], arm[:, :, 0]), axis=0)
     turns = (angle[-1] - angle[0]) / (2.0 * np.pi) * np.sign(spin)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.errors import IntegrationError
+from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -103,23 +104,30 @@ class ClosingEquations:
         return self.scale or abs(float(y[-1]))
 
     def integrator(self, y: np.ndarray) -> Integrator:
-        """That of a vector y, with its drive."""
-        p = float(y[-1])
+        """That of a vector y, with its drive about the axis of the motion."""
+        integrator = self._undriven(float(y[-1]))
+        if integrator.arrays.spin:
+            return integrator.driven(float(y[-3]))
+        start = from_scaled(integrator, self._start(y))
+        axis = spin_axis_of(integrator.system, start, integrator.spin)
+        return integrator.driven(float(y[-3]), axis)
+
+    def _undriven(self, p):
         if p not in self._integrators:
             system, spin = self.at(p)
             self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)
-        return self._integrators[p].driven(float(y[-3]))
+        return self._integrators[p]
 
     def vector(self, state: State, p: float, loss: float = 0.0) -> np.ndarray:
         """y of a start in the orbit frame."""
-        start = to_scaled(self.integrator(np.array([loss, 0.0, p])), state)
+        start = to_scaled(self._undriven(float(p)), state)
         return np.concatenate([start[self.free], [loss, 0.0, p]])
 
     def state(self, y: np.ndarray) -> State:
         """The start of a vector y, in the orbit frame."""
-        return from_scaled(self.integrator(y), self._start(y))
+        return from_scaled(self._undriven(float(y[-1])), self._start(y))
 
     def time_s(self, integrator: Integrator) -> float:
         """[s] that is integrated."""
@@ -144,7 +152,9 @@ class ClosingEquations:
     def _back(self, integrator, x):
         if self.symmetry.order == 1:
             return x
-        return self.symmetry.back(integrator.spin < 0.0, x)
+        turning = integrator.arrays.spin != 0.0
+        back = self.symmetry.back if turning else self.symmetry.renamed
+        return back(integrator.spin < 0.0, x)
 
     def linearise(self, y: np.ndarray, whole: bool = False) -> Linearised:
         """Their derivatives there.

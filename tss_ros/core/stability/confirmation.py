@@ -11,6 +11,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
@@ -41,8 +42,8 @@ class DisturbedMotion:
     Attributes
     ----------
     held : bool
-        No bead left its distance from the centre of mass, nor its undisturbed height over the
-        orbit plane (of a formation that hangs: its undisturbed place about the centre of mass), by
+        No bead left its distance from the centre of mass, nor its undisturbed height along the
+        spin axis (of a formation that hangs: its undisturbed place about the centre of mass), by
         more than `LOST`; the formation turned as often as it should, within
         `ASTRAY`; and no tether shrank to `COLLAPSED`.
     turned : float
@@ -108,7 +109,7 @@ class Confirmation(Presented, Stored, DisturbedMotion):
         if not self.deviation_from_centre < LOST:
             return f"a bead left its distance from the centre by {self.deviation_from_centre:.2%}"
         if not self.held:
-            return f"a bead left its height over the orbit plane, or its place, by over {LOST:.0%}"
+            return f"a bead left its height along the spin axis, or its place, by over {LOST:.0%}"
         farthest = f"the farthest {self.deviation_from_centre:.2%}"
         return f"no bead left its place by {LOST:.0%}, {farthest}"
 
@@ -232,7 +233,8 @@ def confirm(
     state = undisturbed.state
     seen = undisturbed.compare(disturbed(state, disturbance_m, seed), cancelled)
     _, nudged, *_ = undisturbed.run(disturbed(state, SMALL * undisturbed.size_m, seed), cancelled)
-    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg, spins=spin_rate_ratio != 0.0)
+    axis = undisturbed.axis if spin_rate_ratio else None
+    growth = _growth(nudged, undisturbed.arms_m, system.mass_kg, axis)
     return Confirmation(**vars(seen), growth_per_turn=growth)
 
 
@@ -280,6 +282,7 @@ class UndisturbedMotion:
         self._times = np.linspace(0.0, turns * self._period_s, turns * SAMPLES + 1)
         self._radius = np.linalg.norm(state.position_m, axis=1)
         self.size_m = np.max(self._radius)
+        self.axis = spin_axis_of(system, state, system.spin_rate_rad_s(spin_rate_ratio))
         self._position, self.arms_m, *_ = self.run(state, cancelled)
         self._distance = np.linalg.norm(self.arms_m, axis=2)
 
@@ -316,7 +319,7 @@ class UndisturbedMotion:
         position, arms, velocity, switches = self.run(start, cancelled)
         length, tension, taut = tether_state(system, position, velocity)
         shortest = float(np.min(length / system.rest_length_m))
-        made = turns_made(arms, self._ratio or 1.0) / self._turns + (not self._ratio)
+        made = turns_made(arms, self._ratio or 1.0, self.axis) / self._turns + (not self._ratio)
         apart = np.nan_to_num(np.abs(made - 1.0))
         turned = float(made[np.argmax(apart)]) if apart.any() else 1.0
         beyond = self._radius > 1e-6 * size
@@ -324,7 +327,7 @@ class UndisturbedMotion:
         history = np.max(np.abs(distance - self._distance), axis=1) / size
         from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
         moved = position - self._position if self._ratio else arms - self.arms_m
-        height = np.max(np.abs(moved[:, :, 2]) if self._ratio else np.linalg.norm(moved, axis=2))
+        height = np.max(np.abs(moved @ self.axis) if self._ratio else np.linalg.norm(moved, axis=2))
         loud = np.flatnonzero(history > 0.1 * np.max(history))
         settled = loud[-1] + 1 < len(times) - SAMPLES // 2
         near = max(from_centre, height / size) < LOST
@@ -345,11 +348,15 @@ class UndisturbedMotion:
         )
 
 
-def _growth(nudged, calm, mass, spins):
-    """Growth a turn of the difference between two motions, arms (k, n, 3), but for the phase."""
+def _growth(nudged, calm, mass, axis):
+    """Growth a turn of the difference between two motions, arms (k, n, 3).
+
+    The phase of the spin is left out; axis None is for what does not spin.
+    """
     size = np.max(np.linalg.norm(calm[0], axis=1))
-    difference, along = nudged - calm, np.cross([0.0, 0.0, 1.0], calm)
-    if spins:
+    difference = nudged - calm
+    if axis is not None:
+        along = np.cross(axis, calm)
         phase = np.einsum("i,kic,kic->k", mass, along, difference)
         phase /= np.einsum("i,kic,kic->k", mass, along, along)
         difference = difference - phase[:, None, None] * along

@@ -9,6 +9,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
+from tss_ros.core.model.axes import named
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.system import State, System
@@ -16,8 +17,8 @@ from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability import families, harmonic_balance, leading_multipliers
 from tss_ros.core.stability.acceptance import look
-from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
+from tss_ros.core.stability.formation_motion import driven_for, formation_motion, refused
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.hanging import hanging_floquet
 from tss_ros.core.stability.judge import (
@@ -69,9 +70,10 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Next to the motion that is meant; that of the formation's own family, which comes down from
-        fast spin without a break (`families.OwnFamily`), if not given. Without correction, and for
-        "frozen", the start itself, `initial_state` if not given.
+        Next to the motion that is meant; that of the formation if not given (`formation_motion`):
+        for a spin about the orbit normal the one of its own family, which comes down from fast spin
+        without a break, else the one next to the averaged configuration. Without correction, and
+        for "frozen", the start itself, `initial_state` if not given.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -109,7 +111,8 @@ def compute_floquet(
     try:
         start = state or next(initial_states(system, spin_rate_ratio))
     except NoSteadyState as error:
-        start = State(system.layout_m, rigid_velocity(system.layout_m, spin))
+        velocity = rigid_velocity(system.layout_m, spin, system.spin_axis)
+        start = State(system.layout_m, velocity)
         if method == "frozen" or not correct or leading is not None:
             return _without_motion(method, system, spin, start, str(error))
     length = float(np.max(np.linalg.norm(start.position_m, axis=1)))
@@ -135,7 +138,7 @@ def _of_motion(integrator, start, state, certify, cancelled):
     if motion is None:
         return _without_motion("monodromy", system, spin, start, words, missed_by)
     words = f"{words}, corrected from closure residual {missed_by:.1e}"
-    driven = integrator.driven(motion.spin_loss)
+    driven = driven_for(integrator, motion)
     return _whole(driven, motion, words, missed_by, (certify, True), cancelled)
 
 
@@ -153,6 +156,12 @@ def _search(integrator, state, cancelled):
     ratio = integrator.spin / system.orbit_rate_rad_s
     if state is not None:
         return _near(integrator, ratio, state, cancelled)
+    if integrator.spin and not integrator.arrays.spin:
+        try:
+            motion = formation_motion(system, ratio, cancelled)
+        except Ended as end:
+            return None, f"none found about {named(system.spin_axis)}: {end}"
+        return motion, f"start from {motion.origin}; such axes are not followed from fast spin"
     if system.n > families.MOST_BEADS:
         motion, words = _first_of_starts(integrator, ratio, cancelled)
         words += f"; not followed from fast spin, having more than {families.MOST_BEADS} beads"
@@ -170,7 +179,7 @@ def _search(integrator, state, cancelled):
 def _near(integrator, ratio, state, cancelled):
     """The motion next to a start that was given."""
     motion = families.nearest_motion(integrator.system, ratio, state, cancelled)
-    if refusal := _refusal(integrator, motion):
+    if refusal := refused(integrator.system, ratio, motion):
         return None, f"none found next to the given state: {refusal}"
     apart = to_scaled(integrator, motion.state) - to_scaled(integrator, state)
     if (farthest := float(np.max(np.abs(apart)))) > NEAR_START:
@@ -188,7 +197,7 @@ def _first_of_starts(integrator, ratio, cancelled):
         for start in initial_states(integrator.system, ratio):
             try:
                 motion = families.nearest_motion(integrator.system, ratio, start, cancelled)
-                refusal = _refusal(integrator, motion)
+                refusal = refused(integrator.system, ratio, motion)
             except IntegrationError as error:
                 refusal = str(error)
             if not refusal:
@@ -199,19 +208,9 @@ def _first_of_starts(integrator, ratio, cancelled):
     return None, f"tried {'; '.join(tried)}"
 
 
-def _refusal(integrator, motion):
-    """Why what Newton's method led to is no motion of the formation; "" if it is."""
-    if not motion.residual <= CLOSED:
-        return f"the best turn closes to {motion.residual:.1e} only"
-    if motion.spin_loss > families.MOST_LOSS:
-        return f"the best turn loses {motion.spin_loss:.2%} of its spin"
-    refusal = look(integrator.driven(motion.spin_loss), motion.state).refusal
-    return f"the only motion found is refused: {refusal}" if refusal else ""
-
-
 def _in_brief(integrator, motion, cancelled):
     """The verdict on a motion, in words."""
-    driven = integrator.driven(motion.spin_loss)
+    driven = driven_for(integrator, motion)
     found = _whole(driven, motion, "", math.nan, (False, True), cancelled)
     return f"{found.verdict}, largest modulus {found.max_modulus:.6g}"
 

@@ -24,6 +24,7 @@ from tss_ros.core.stability.branches import crossing_curve
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.family import Family, FamilyPoint, SpecialPoint
+from tss_ros.core.stability.formation_motion import formation_motion
 from tss_ros.core.stability.modes import stays_in_plane
 from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
@@ -159,7 +160,7 @@ def _own_curve(at, parameter, ends, state, longest_step, cancelled):
 def _first(system, ratio, state, cancelled):
     if state is None:
         try:
-            return families.own_motion(system, ratio, cancelled)
+            return formation_motion(system, ratio, cancelled)
         except Ended as end:
             raise TssError(
                 f"no motion to follow was found at spin_rate_ratio {ratio:g}: {end}"

@@ -18,7 +18,8 @@ import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.model import forces
-from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.frames import rigid_velocity, turn_about
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.numerics import block_lu
@@ -81,7 +82,7 @@ def close_by_harmonic_balance(
 
 @dataclass(frozen=True)
 class _Orbit:
-    """Positions (count, n, 3) in the turning frame and tensions (count, m) at times of a turn."""
+    """Positions (count, n, 3) in the integrator's frame and tensions (count, m) along a turn."""
 
     r: np.ndarray
     tension: np.ndarray
@@ -89,25 +90,32 @@ class _Orbit:
 
 
 def _rigid_turn(integrator, state):
-    r = state.position_m[None]
+    r, v = state.position_m[None], np.zeros((1, integrator.system.n, 3))
+    if not integrator.arrays.spin:
+        axis = spin_axis_of(integrator.system, state, integrator.spin)
+        angles = math.copysign(2.0 * math.pi / 3.0, integrator.spin) * np.arange(3)
+        r = np.array([r[0] @ turn_about(axis, angle).T for angle in angles])
+        v = rigid_velocity(r, integrator.spin, axis)
     none = np.zeros_like(r)
-    return _Orbit(r, _tension(integrator.arrays, r, none, none, none), state)
+    return _Orbit(r, _tension(integrator.arrays, r, v, none, none), state)
 
 
 def _balanced(integrator, known, harmonics, cancelled):
     """The motion with so many harmonics next to a known one, None if Newton's iteration fails."""
     n, count, axes = integrator.system.n, 2 * harmonics + 1, 3 if known.r[:, :, 2].any() else 2
-    arrays, rate = integrator.arrays._replace(bilateral=True), abs(integrator.arrays.spin)
+    arrays, rate = integrator.arrays._replace(bilateral=True), abs(integrator.spin)
+    axis = spin_axis_of(integrator.system, known.start, integrator.spin)
     time = 2.0 * math.pi / rate * np.arange(count) / count
     slope = differentiation(count) * rate
     r, tension = (resampled(x, count) for x in (known.r, known.tension))
     v = np.tensordot(slope, r, 1)
-    pinned = int(np.argmax(np.linalg.norm(r[0], axis=1)))
-    free = _free_directions(arrays, r[0, pinned], time, axes)
+    pinned = int(np.argmax(np.linalg.norm(np.cross(axis, r[0]), axis=1)))
+    free = _free_directions(arrays, axis, r[:, pinned], time, axes)
     for _ in range(ITERATIONS):
         if cancelled is not None and cancelled():
             raise Cancelled(f"stopped while balancing {harmonics} harmonics")
-        matrix, right = _equations(arrays, integrator.symbolic, time, slope, r, v, tension, axes)
+        motion = r, v, tension, rigid_velocity(r, 1.0, axis)
+        matrix, right = _equations(arrays, integrator.symbolic, time, slope, motion, axes)
         matrix[pinned] += np.max(np.abs(matrix[pinned])) * (free.T @ free)
         block_lu.factor_wide(integrator.symbolic, matrix)
         block_lu.solve_wide(integrator.symbolic, matrix, right)
@@ -123,15 +131,17 @@ def _balanced(integrator, known, harmonics, cancelled):
         r = r + change
         v = np.tensordot(slope, r, 1)
         if size < SETTLED:
-            spin = integrator.arrays.spin + drive * math.pi / rate
-            return _Orbit(r, tension, State(r[0], v[0] + rigid_velocity(r[0], spin)))
+            extra = rigid_velocity(r[0], drive * math.pi / rate, axis)
+            turning = rigid_velocity(r[0], integrator.arrays.spin)
+            return _Orbit(r, tension, State(r[0], v[0] + turning + extra))
     return None
 
 
-def _free_directions(arrays, place, time, axes):
+def _free_directions(arrays, axis, place, time, axes):
     """Phase of the spin and of the orbit, told by no force: of one bead, (2, count * axes)."""
     free = np.zeros((2, time.size, axes))
-    free[0, :, :2] = [-place[1], place[0]] / np.linalg.norm(place)
+    along = rigid_velocity(place if not arrays.spin else place[:1], 1.0, axis)
+    free[0] = (along / np.linalg.norm(along, axis=1, keepdims=True))[:, :axes]
     free[1, :, 0], free[1, :, 1] = np.cos(arrays.spin * time), -np.sin(arrays.spin * time)
     return free.reshape(2, -1) / math.sqrt(time.size)
 
@@ -148,13 +158,14 @@ def _tension(arrays, r, v, change, rate):
     return tension + slope * longer + arrays.damping * faster
 
 
-def _equations(arrays, symbolic, time, slope, r, v, tension, axes):
-    """Newton's equations for r'' = a: matrix (blocks, w, w), right sides (n, w, 2) of a and z x r.
+def _equations(arrays, symbolic, time, slope, motion, axes):
+    """Newton's equations for r'' = a: matrix (blocks, w, w), right sides (n, w, 2) of a and s x r.
 
     Tethers are too stiff for their lengths to say how they pull while beads still move sideways:
     tensions are unknowns, too, already eliminated. What remains of them is that the derivatives
     belong to the tension, not the length, as if each tether's rest length were another.
     """
+    r, v, tension, around = motion
     count, n = r.shape[:2]
     taut = np.ones(arrays.rest.size, dtype=bool)
     known = symbolic.row.size
@@ -174,6 +185,5 @@ def _equations(arrays, symbolic, time, slope, r, v, tension, axes):
     for axis in range(axes):
         matrix[:n, :, axis, :, axis] += slope @ slope
     width = count * axes
-    around = np.stack([-r[:, :, 1], r[:, :, 0], none[:, :, 2]], axis=2)
     right = np.stack([force, around], axis=3)[:, :, :axes].transpose(1, 0, 2, 3)
     return matrix.reshape(symbolic.blocks, width, width), right.reshape(n, width, 2)

@@ -9,16 +9,17 @@ turns against that frame, changes each of them a little and lets two of them mee
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tss_ros.core.model import forces
-from tss_ros.core.model.frames import to_turning_frame
+from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.frames import crossed, to_turning_frame, turn_about
 from tss_ros.core.model.symmetry import cyclic_symmetry
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.propagator import Integrator
-from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
+from tss_ros.core.stability.modes import in_turning_frame, label, multipliers, stays_in_plane
 
 #: Times of a turn over which forces are averaged.
 SAMPLES = 24
@@ -33,7 +34,7 @@ class MeanModes:
     exponent : ndarray, shape (6n,), complex
         [a turn] growth and, imaginary, 2 pi times frequency.
     vectors : ndarray, shape (6n, 6n), complex
-        Columns in scaled coordinates.
+        Columns in scaled coordinates, as seen in the frame that turns with the spin.
     wave_number : ndarray, shape (6n,), int
         Around the formation; -1 where its cyclic symmetry is of an order below 3.
     family : ndarray, shape (6n,), str
@@ -69,14 +70,52 @@ def mean_modes(integrator: Integrator, state: State) -> MeanModes:
     IntegrationError
         If the motion cannot be continued.
     """
-    matrix = mean_matrix(integrator, state) * integrator.period_s
+    axis = spin_axis_of(integrator.system, state, integrator.spin)
+    matrix = mean_matrix(integrator, state, axis) * integrator.period_s
     exponent, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))
+    seen = in_turning_frame(integrator, axis, vectors, back=True)
     with np.errstate(over="ignore", under="ignore"):
-        family = label(integrator, state, np.exp(exponent), vectors, exponent)
-    return MeanModes(exponent, vectors, wave_numbers(integrator, vectors), family)
+        family = label(integrator, state, np.exp(exponent), seen, exponent)
+    return MeanModes(exponent, vectors, wave_numbers(integrator, vectors, axis), family)
 
 
-def mean_matrix(integrator: Integrator, state: State) -> np.ndarray:
+class _Turning:
+    """The frame that turns with the spin about an axis, where forces are those of an integrator.
+
+    Where the integrator's own frame does, forces are taken as they are; where it is the orbit
+    frame, they are turned, and what the turning adds is added.
+    """
+
+    def __init__(self, integrator, axis):
+        self.spin = 0.0 if integrator.arrays.spin else integrator.spin
+        self.axis, self.cross = axis, self.spin * crossed(axis)
+
+    def place(self, time, r):
+        """Positions in the integrator's frame as seen in this one."""
+        return r @ turn_about(self.axis, self.spin * time)
+
+    def acceleration(self, arrays, taut, time, place):
+        """Of beads at rest there, (n, 3)."""
+        a, turn = np.empty_like(place), turn_about(self.axis, self.spin * time)
+        v, r = place @ (turn @ self.cross).T, place @ turn.T
+        forces.acceleration(arrays, taut, time, np.ascontiguousarray(v), r, a)
+        return a @ turn - place @ (self.cross @ self.cross).T
+
+    def jacobian(self, arrays, symbolic, taut, time, place):
+        """Its blocks by place and velocity there, (b, 3, 3) each."""
+        by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+        turn = turn_about(self.axis, self.spin * time)
+        v, r = place @ (turn @ self.cross).T, place @ turn.T
+        forces.jacobian(arrays, symbolic.pair, taut, time, v, r, by_r, by_v)
+        by_r = turn.T @ (by_r @ turn + by_v @ turn @ self.cross)
+        by_v = turn.T @ by_v @ turn
+        own = symbolic.row == symbolic.column
+        by_r[own] -= self.cross @ self.cross
+        by_v[own] -= 2.0 * self.cross
+        return by_r, by_v
+
+
+def mean_matrix(integrator: Integrator, state: State, axis: np.ndarray) -> np.ndarray:
     """Jacobian (6n, 6n) [1/s] of scaled coordinates in the turning frame, at the mean places.
 
     Tethers lie as they do on average and pull with their mean tension, changed by the little that
@@ -89,12 +128,13 @@ def mean_matrix(integrator: Integrator, state: State) -> np.ndarray:
     _, tension, taut = forces.tether_state(system, samples.r, samples.v)
     for time, v, r in zip(times, samples.v, samples.r):
         to_turning_frame(integrator.arrays.spin, time, v, r)
-    place, still = np.mean(samples.r, axis=0), np.zeros((n, 3))
-    arrays = _in_balance(integrator.arrays, times, place, np.mean(tension, axis=0))
+    turning = _Turning(integrator, axis)
+    place = np.mean([turning.place(time, r) for time, r in zip(times, samples.r)], axis=0)
+    arrays = _in_balance(integrator.arrays, turning, times, place, np.mean(tension, axis=0))
     pulls = np.mean(taut, axis=0) + system.bilateral > 0.5
-    by_v, by_r, *sums = np.zeros((4, symbolic.row.size, 3, 3))
+    sums = np.zeros((2, symbolic.row.size, 3, 3))
     for time in times:
-        forces.jacobian(arrays, symbolic.pair, pulls, time, still, place, by_r, by_v)
+        by_r, by_v = turning.jacobian(arrays, symbolic, pulls, time, place)
         sums[0] += by_v / SAMPLES
         sums[1] += by_r / SAMPLES
     speed, length = integrator.settings.speed, integrator.settings.length
@@ -106,7 +146,7 @@ def mean_matrix(integrator: Integrator, state: State) -> np.ndarray:
     return matrix
 
 
-def _in_balance(arrays, times, place, tension):
+def _in_balance(arrays, turning, times, place, tension):
     """The system with rest lengths at which tethers hold the beads at these places.
 
     Of all tensions (m,) that do so as well as can be, those next to the given ones.
@@ -118,23 +158,22 @@ def _in_balance(arrays, times, place, tension):
     pull[first, :, every] = -e / length[:, None] * arrays.inv_mass[first][:, None]
     pull[second, :, every] = e / length[:, None] * arrays.inv_mass[second][:, None]
     pull = pull.reshape(-1, length.size)
-    outside, still, a = np.zeros_like(place), np.zeros_like(place), np.empty_like(place)
+    outside, slack = np.zeros_like(place), np.zeros(length.size, bool)
     for time in times:
-        forces.acceleration(arrays, np.zeros(length.size, bool), time, still, place, a)
-        outside += a / times.size
+        outside += turning.acceleration(arrays, slack, time, place) / times.size
     missing = -outside.ravel() - pull @ tension
     tension = tension + np.linalg.lstsq(pull, missing, rcond=1e-6)[0]
     there, slope = forces.tension_and_slopes(arrays, length, np.zeros_like(length))
     return arrays._replace(rest=arrays.rest + (there - tension) / slope)
 
 
-def wave_numbers(integrator: Integrator, vectors: np.ndarray) -> np.ndarray:
+def wave_numbers(integrator: Integrator, vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Wave number of every vector (6n, k): how its phase changes from one place to the next.
 
     Turning the formation by 1/order of a circle and renaming its beads changes a mode of wave
     number k by the phase 2 pi k / order. Both directions count as one: 0 to order / 2.
     """
-    symmetry = cyclic_symmetry(integrator.system)
+    symmetry = replace(cyclic_symmetry(integrator.system), axis=axis)
     if symmetry.order < 3:
         return np.full(vectors.shape[1], -1)
     steps = [vectors]

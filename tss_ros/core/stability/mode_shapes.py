@@ -11,12 +11,14 @@ from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.frames import turn_about
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.presentation import Presented, found
 from tss_ros.core.stability.mean_model import mean_modes, wave_numbers
-from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
+from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, in_turning_frame, stays_in_plane
 from tss_ros.core.stability.result import FloquetResult
 
 DIRECTIONS = ("in plane", "out of plane", "mixed")
@@ -37,7 +39,8 @@ class Mode(Presented):
     family : str
         One of `FAMILIES`.
     direction : str
-        One of `DIRECTIONS`: where beads move to, seen from the orbit plane.
+        One of `DIRECTIONS`: where beads move to, seen from the plane across the spin axis, the
+        orbit plane if that is its normal.
     frequency : float
         [cycles a turn] in the frame that turns with the formation. The multiplier tells it up to
         whole cycles and the mode of the mean forces how many. NaN if the multiplier is lost in
@@ -111,17 +114,19 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
     if not result.family:
         return []
     integrator = _integrator(system, result)
-    rho, vectors, family = result.multiplier, result.vectors, np.array(result.family)
+    rho, axis = result.multiplier, spin_axis_of(system, result.state, integrator.spin)
+    vectors = in_turning_frame(integrator, axis, result.vectors)
+    family = np.array(result.family)
     if result.exponent.size:
         frequency = np.abs(result.exponent.imag) * integrator.period_s / (2.0 * math.pi)
-        wave_number = wave_numbers(integrator, vectors)
+        wave_number = wave_numbers(integrator, vectors, axis)
     else:
         mean = mean_modes(integrator, result.state)
-        paired = _pairs(integrator, result, mean)
+        paired = _pairs(integrator, result, mean, vectors, axis)
         frequency = _frequencies(integrator, result, mean, paired)
         wave_number = mean.wave_number[paired]
     position = vectors.reshape(2, system.n, 3, -1)[1]
-    above = _above(vectors)
+    above = _above(vectors, axis)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
     if not stays_in_plane(system, result.state):
         kinds[(above > 0.01) & (above < 0.99)] = DIRECTIONS[2]
@@ -147,13 +152,15 @@ def _integrator(system, result):
             f" {system.n}"
         )
     size = np.max(np.linalg.norm(result.state.position_m, axis=1))
-    return Integrator(system, result.spin_rate_rad_s, RTOL, size).driven(result.spin_loss)
+    axis = spin_axis_of(system, result.state, result.spin_rate_rad_s)
+    return Integrator(system, result.spin_rate_rad_s, RTOL, size).driven(result.spin_loss, axis)
 
 
-def _above(vectors):
-    """Share of every vector's motion that is out of the orbit plane."""
-    square = np.abs(vectors.reshape(-1, 3, vectors.shape[1])) ** 2
-    return np.sum(square[:, 2], axis=0) / np.sum(square, axis=(0, 1))
+def _above(vectors, axis):
+    """Share of every vector's motion that is along the spin axis."""
+    parts = vectors.reshape(-1, 3, vectors.shape[1])
+    along = np.sum(np.abs(np.einsum("q,iqk->ik", axis, parts)) ** 2, axis=0)
+    return along / np.sum(np.abs(parts) ** 2, axis=(0, 1))
 
 
 @dataclass(frozen=True, repr=False)
@@ -243,16 +250,22 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
 
 
 def _carried(integrator, state, vectors, samples):
-    """Positions (s + 1, n, 3) and vectors (s + 1, 6n, k) carried along the turn from a state."""
-    motion = integrator.begin(state)
-    place, carried = [np.array(motion.r)], [vectors]
+    """Positions (s + 1, n, 3) and vectors (s + 1, 6n, k) carried along the turn from a state.
+
+    As seen in the frame that turns with the spin.
+    """
+    motion, axis = integrator.begin(state), spin_axis_of(integrator.system, state, integrator.spin)
+    place, carried = [np.array(motion.r)], [in_turning_frame(integrator, axis, vectors)]
+    spin = 0.0 if integrator.arrays.spin else integrator.spin
     parts = np.concatenate([vectors.real, vectors.imag], axis=1)
     for k in range(1, samples + 1):
         stop = integrator.period_s * k / samples
         motion, parts = carry_displacements(integrator, motion, parts, stop)
         real, imaginary = np.split(parts, 2, axis=1)
-        place.append(np.array(motion.r))
-        carried.append(real + 1j * imaginary)
+        turn = turn_about(axis, spin * stop)
+        turned = turn.T @ (real + 1j * imaginary).reshape(2, integrator.system.n, 3, -1)
+        place.append(motion.r @ turn)
+        carried.append(in_turning_frame(integrator, axis, turned.reshape(vectors.shape)))
     return np.array(place), np.array(carried)
 
 
@@ -294,7 +307,7 @@ def _counted(integrator, result, mean, paired):
     return frequency
 
 
-def _pairs(integrator, result, mean):
+def _pairs(integrator, result, mean, vectors, axis):
     """The mode of the mean forces (k,) that each multiplier belongs to."""
     weight = np.tile(np.repeat(np.sqrt(integrator.system.mass_kg), 3), 2)[:, None]
 
@@ -302,12 +315,12 @@ def _pairs(integrator, result, mean):
         weighted = vectors * weight
         return weighted / np.linalg.norm(weighted, axis=0)
 
-    alike = np.abs(units(mean.vectors).conj().T @ units(result.vectors)) ** 2
+    alike = np.abs(units(mean.vectors).conj().T @ units(vectors)) ** 2
     rho = np.where(np.abs(result.multiplier) > LOST, result.multiplier, LOST)
     phase = np.angle(np.exp(1j * (mean.exponent.imag[:, None] - np.angle(rho)))) / math.pi
     size = np.abs(np.maximum(mean.exponent.real[:, None], math.log(LOST)) - np.log(np.abs(rho)))
     cost = (1.0 - alike) + np.abs(phase) + np.minimum(size, 1.0)
-    family, above, also = np.array(result.family), _above(result.vectors), _above(mean.vectors)
+    family, above, also = np.array(result.family), _above(vectors, axis), _above(mean.vectors, axis)
     # Another family or direction is taken only where its own has none left.
     cost += 10.0 * (mean.family[:, None] != family)
     cost += 10.0 * np.abs(also[:, None] - above)

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.frames import crossed, turn_to
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.shooting import flow_direction
@@ -97,7 +99,9 @@ def label(
     """
     n, planar = integrator.system.n, stays_in_plane(integrator.system, state)
     weight = np.sqrt(integrator.system.mass_kg / np.mean(integrator.system.mass_kg))[:, None]
-    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    axis = spin_axis_of(integrator.system, state, integrator.spin)
+    turning = in_turning_frame(integrator, axis, vectors)
+    halves = (turning.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
     above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
     moves = (weight[None] * np.eye(3)[:, None]).reshape(3, -1)
@@ -115,11 +119,11 @@ def label(
         take(FAMILIES[0], moved, room, moved > 0.5, allowed)
     if exponent is None:
         exponent = np.log(np.where(alive, multiplier, 1.0))
-    along = _along(integrator, state, weight, halves) / whole
+    along = _along(integrator, state, axis, weight, halves) / whole
     at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
     sure = (along > 0.5) & (np.abs(exponent) < NEAR_ONE)
     take(FAMILIES[1], at_one, 2, sure, ~above if planar else alive)
-    tilts = _tilts(integrator.system.mass_kg, state.position_m, weight, planar)
+    tilts = _tilts(integrator.system.mass_kg, state.position_m, axis, weight)
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
     take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
     return names
@@ -174,21 +178,34 @@ def _share(basis, halves):
     return np.sum(np.abs(basis @ halves) ** 2, axis=(0, 1))
 
 
-def _along(integrator, state, weight, halves):
+def in_turning_frame(
+    integrator: Integrator, axis: np.ndarray, vectors: np.ndarray, back: bool = False
+) -> np.ndarray:
+    """Vectors (6n, ...) as seen in the frame that turns with the spin about an axis.
+
+    Those of an integrator whose frame turns are so already. Frames coincide at the time of the
+    vectors, so that velocities alone differ. `back` does the inverse.
+    """
+    if integrator.arrays.spin or not integrator.spin:
+        return vectors
+    v, r = vectors.reshape(2, integrator.system.n, 3, -1)
+    share = integrator.spin * integrator.settings.length / integrator.settings.speed
+    share *= -1.0 if back else 1.0
+    return np.stack([v - share * (crossed(axis) @ r), r]).reshape(vectors.shape)
+
+
+def _along(integrator, state, axis, weight, halves):
     """The same for the part along the motion, the whole formation's displacement left out."""
-    flow = flow_direction(integrator, state).reshape(2, -1, 3)
+    flow = in_turning_frame(integrator, axis, flow_direction(integrator, state))
+    flow = flow.reshape(2, -1, 3)
     flow = weight * (flow - np.mean(weight**2 * flow, axis=1, keepdims=True))
     return np.abs(flow.ravel() @ halves.reshape(flow.size, -1)) ** 2 / np.sum(flow**2)
 
 
-def _tilts(mass, position, weight, planar):
+def _tilts(mass, position, axis, weight):
     """Weighted displacements (b, 3n) of turns about axes across the spin, of those there are."""
-    centre = np.average(position, axis=0, weights=mass)
-    arm = position - centre
-    fields = np.zeros((2, *arm.shape))
-    fields[0, :, 2], fields[1, :, 2] = arm[:, 1], arm[:, 0]
-    if not planar:
-        fields[0, :, 1], fields[1, :, 0] = -arm[:, 2], -arm[:, 2]
+    arm = position - np.average(position, axis=0, weights=mass)
+    fields = np.array([np.cross(across, arm) for across in turn_to(axis)[:, :2].T])
     _, size, axes = np.linalg.svd((weight * fields).reshape(2, -1), full_matrices=False)
     return axes[size > FLAT * size[0]]
 

@@ -63,8 +63,7 @@ def convergence_error(
         max(0.01 * integrator.rtol, 1e-12),
         integrator.settings.length,
     )
-    finer.arrays = finer.arrays._replace(drive=integrator.arrays.drive)
-    return _distance(turn, finer, settled, cancelled)
+    return _distance(turn, finer.with_drive(integrator.drive), settled, cancelled)
 
 
 def _distance(turn, integrator, settled, cancelled, parts=1):

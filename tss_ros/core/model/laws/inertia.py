@@ -8,7 +8,8 @@ def inertia(x, y, vx, vy, centrifugal, coriolis, drive):
     """Accelerations along x and y by centrifugal and Coriolis force, Eqs. (9), (11), and a drive.
 
     The drive is an Euler force, drive z x r: it makes up for the spin that damping takes, so that
-    motions of damped formations close (`stability.shooting`). Simulations have none.
+    motions of damped formations close (`stability.closing`). Simulations have none. That about
+    other axes than z stands in `forces`.
 
     Linear in what it takes, so that it serves values, coefficients of series and variations alike.
 
