@@ -30,9 +30,11 @@ from tss_ros.core import (
 from tss_ros.core.model.axes import apart_deg, spin_axis_of
 from tss_ros.core.model.formations import Satellite, Tether, assemble
 from tss_ros.core.model.frames import turn_to
+from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.follow import follow
 from tss_ros.core.stability.mode_shapes import mode_motion
 from tss_ros.core.stability.parallel import FloquetJob
+from tss_ros.core.stability.shooting import flow_direction, integrate_turn, to_scaled
 
 UP, NORMAL = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 #: Four of 50 kg on a circle of 1 km, two of 500 kg at 3 km on the axis: A, C [kg m^2].
@@ -366,6 +368,33 @@ def test_another_integrator_agrees_on_a_conical_motion_and_its_matrix():
     matrix = end[1:].imag.T / 1e-100
     left = matrix @ result.vectors - result.vectors * result.multiplier
     assert np.max(np.abs(left)) < 1e-9 * np.linalg.norm(matrix, 2)
+
+
+def test_a_drive_about_any_axis_is_an_euler_force_and_its_matrix_knows():
+    system, w = pyramid(), 5.0
+    state, spin = averaged_state(system, w), system.spin_rate_rad_s(w)
+    plain = Integrator(system, spin, 1e-11, 3000.0)
+    drive = np.array([3e-9, -2e-8, 1e-8])
+    driven = plain.with_drive(drive)
+    added = flow_direction(driven, state) - flow_direction(plain, state)
+    euler = np.cross(drive, state.position_m)
+    assert added[: euler.size].reshape(-1, 3) == pytest.approx(
+        euler / driven.settings.speed, rel=1e-6, abs=1e-12
+    )
+    turn = integrate_turn(driven, state)
+    faster = driven.scaled(turn.end.velocity_m_s, turn.end.position_m)
+    assert np.linalg.norm(faster - to_scaled(driven, state)) > 1e-3
+    left = turn.matrix @ flow_direction(driven, state) - flow_direction(driven, turn.end)
+    assert np.max(np.abs(left)) < 1e-7
+
+
+def test_the_frozen_method_and_motions_that_are_not_corrected_take_any_axis():
+    system = triangle((0, 0.5, 0.9))
+    frozen = found(system, -1.8, method="frozen")
+    assert "stood still" in frozen.message and "conical axis" in frozen.message
+    start = found(system, -1.8, correct=False)
+    assert start.closure_residual > 1e-7
+    assert start.max_modulus_nontrivial == pytest.approx(1.0, abs=1e-3)
 
 
 def test_modes_and_simulations_are_told_about_the_axis():

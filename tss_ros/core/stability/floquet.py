@@ -70,10 +70,10 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Next to the motion that is meant; that of the formation if not given (`formation_motion`):
-        for a spin about the orbit normal the one of its own family, which comes down from fast spin
-        without a break, else the one next to the averaged configuration. Without correction, and
-        for "frozen", the start itself, `initial_state` if not given.
+        Next to the motion that is meant; that of `formation_motion` if not given: about the orbit
+        normal the one of the formation's own family, which comes down from fast spin without a
+        break, else the one next to the averaged configuration. Without correction, and for
+        "frozen", the start itself, `initial_state` if not given.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
