@@ -45,8 +45,8 @@ def crossed(axis: np.ndarray) -> np.ndarray:
 
 def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
     """The turn (3, 3) counter-clockwise about a unit vector by an angle [rad]."""
-    cross = crossed(axis)
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    c, s = math.cos(angle), math.sin(angle)
+    return c * np.eye(3) + s * crossed(axis) + (1.0 - c) * np.outer(axis, axis)
 
 
 def turn_to(axis: np.ndarray, start: np.ndarray = Z_AXIS) -> np.ndarray:
