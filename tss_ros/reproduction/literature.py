@@ -23,7 +23,7 @@ AMPLITUDES = (0.05, 0.1, 0.2, 0.3, 0.4)
 HUB_RATES = tuple((np.arange(-16, 17) / 2.0).tolist())
 HUB_SATELLITES = (3, 4, 5, 6)
 TILT_RATES = (-2.2, -2.5, -3.0, -4.0, -6.0, -8.0, -12.0)
-PYRAMID_RATES = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
+PYRAMID_RATES = (1.0, 2.0, 3.0, 3.5, 4.0, 5.0, 8.0, 12.0, 16.0, 20.0)
 #: A claim holds, does not, or cannot be judged from what is public.
 REPRODUCED, PARTLY, NOT = "reproduced", "in part", "not reproduced"
 

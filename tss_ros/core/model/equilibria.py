@@ -67,15 +67,18 @@ def equilibrium(system: System, near_m: np.ndarray | None = None) -> np.ndarray:
     balance = _OrbitFrameBalance(resting)
     near = system.layout_m if near_m is None else near_m
     start = balance.start(near)
-    place, force = balance.balanced(start)
-    refusal = balance.refusal(place, force, near)
+    place, _ = balance.balanced(start)
+    refusal = balance.refusal(place, near)
     if refusal:
-        place, force = balance.balanced(balance.settled(start))
-        refusal = balance.refusal(place, force, near)
+        place, _ = balance.balanced(balance.settled(start))
+        refusal = balance.refusal(place, near)
+    if not refusal:
+        place, _ = balance.newton(balance.centred(place))
+        refusal = balance.refusal(place, near)
     if refusal:
         refusal = balance.why(start) or refusal
         raise NoSteadyState(f"no equilibrium found for spin_rate_ratio 0: {refusal}")
-    return balance.newton(balance.centred(place))[0]
+    return place
 
 
 def imbalance(system: System, place_m: np.ndarray) -> tuple[int, float, float]:
@@ -135,10 +138,10 @@ class _OrbitFrameBalance(Balance):
         length, growth = forces.lengths_and_rates(self.system, place, self.still)
         return forces.tension_and_slopes(self.arrays, length, growth)[0]
 
-    def refusal(self, place, force, near):
+    def refusal(self, place, near):
         """Why places are no equilibrium of the formation; "" if they are."""
-        system = self.system
-        worst, left, share = self.left(force)
+        system, self.taut = self.system, self.stretched(place)
+        worst, left, share = self.left(self.force(place))
         if not share < 1.0:
             return (
                 f"{system.bead_name[worst]} is left out of balance by {left:.3g} N,"
