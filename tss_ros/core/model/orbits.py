@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -182,8 +183,16 @@ class ReferenceOrbit:
 
         Of velocities and positions in the orbit frame; positions are the same in both.
         """
+        return v + np.cross(self._faster, r)
+
+    def from_even_frame(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """The inverse of `into_even_frame`."""
+        return v - np.cross(self._faster, r)
+
+    @cached_property
+    def _faster(self):
         _, turning = self.frame(np.zeros(1))
-        return v + np.cross(turning[0] - [0.0, 0.0, self.rate_rad_s], r)
+        return turning[0] - [0.0, 0.0, self.rate_rad_s]
 
     def out_of_even_frame(
         self, time_s: np.ndarray, v: np.ndarray, r: np.ndarray

@@ -87,6 +87,8 @@ class Integrator:
         self.tables = radau_tables.radau(stages)
         self._table = None
         self._no_samples = self.samples(np.empty(0))
+        #: T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs.
+        self.period_s = 2.0 * math.pi / abs(spin_rate_rad_s or system.orbit_rate_rad_s)
         rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
         self.turn_s = 2.0 * math.pi / rate
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
@@ -259,11 +261,6 @@ class Integrator:
         """Take samples that the kernels have just written to the orbit frame."""
         v, r = self.orbit.out_of_even_frame(samples.times[part], samples.v[part], samples.r[part])
         samples.v[part], samples.r[part] = v, r
-
-    @property
-    def period_s(self) -> float:
-        """T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs."""
-        return 2.0 * math.pi / abs(self.spin or self.arrays.rate)
 
     def scaled(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
         """Velocities over the rim speed, then positions over the radius, as one vector (6n,)."""

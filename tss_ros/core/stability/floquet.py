@@ -11,6 +11,7 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
@@ -18,6 +19,7 @@ from tss_ros.core.stability import families, harmonic_balance, leading_multiplie
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
+from tss_ros.core.stability.elliptic import floquet_over_orbits
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import (
     SMALLEST_DRIFT,
@@ -87,7 +89,9 @@ def compute_floquet(
     Returns
     -------
     FloquetResult
-        Also where no periodic motion was found: that is a verdict, not an error.
+        Also where no periodic motion was found: that is a verdict, not an error. On an ellipse the
+        period is that of k turns in l orbits; at other rates nothing is periodic, and
+        `lyapunov_exponents` is the function to ask.
 
     Raises
     ------
@@ -98,6 +102,11 @@ def compute_floquet(
     """
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not system.autonomous:
+        if method != METHODS[0] or leading is not None:
+            require_autonomous(system, f"method {METHODS[1]}" if leading is None else "leading")
+        how = correct, certify
+        return floquet_over_orbits(system, spin_rate_ratio, state, rtol, how, cancelled)
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     try:
         start = state or next(initial_states(system, spin_rate_ratio))
@@ -287,7 +296,7 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         closure_residual=left,
         initial_closure_residual=missed_by if corrected else left,
         spin_loss=loss,
-        det_z_error=_det_z_error(turn),
+        det_z_error=turn.det_z_error,
         flow_error=found.flow_error,
         switches=turn.switches,
         pushing_share=seen.pushing_share,
@@ -370,11 +379,3 @@ def _origin(start, corrected_from=None):
     if corrected_from is not None:
         words += f", corrected from closure residual {corrected_from:.1e}"
     return words
-
-
-def _det_z_error(turn):
-    """|det Z - 1| of the out-of-plane variations, if the motion stays in the orbit plane."""
-    x = np.stack([to_scaled(turn.integrator, turn.start), to_scaled(turn.integrator, turn.end)])
-    if np.max(np.abs(x[:, 2::3])) > 1e-12:
-        return math.nan
-    return float(abs(np.linalg.det(turn.matrix[2::3, 2::3]) - 1.0))

@@ -1,0 +1,292 @@
+"""Starts of motions on orbits that are no circles, and motions over l orbits by shooting.
+
+Time counts from the place on the orbit that is given, so nothing is left free. The whole formation
+drifts with its orbit, and its size turns its perigee a little: no start in the middle brings the
+centre of mass back. A kick after the l orbits does, whose size is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tss_ros.core.errors import IntegrationError, NoSteadyState
+from tss_ros.core.model import forces
+from tss_ros.core.model.configurations import initial_state
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.system import RADIUS_EARTH_M, State, System
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.numerics import block_lu
+from tss_ros.core.stability.closing import CLOSED, LARGEST_CHANGE, NOTHING_LEFT, SMALL_LOSS
+from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scaled
+
+#: First step of the eccentricity from the circle, and the smallest one that is tried.
+FIRST_STEP, SMALLEST_STEP = 0.05, 1e-3
+#: Most corrections of a start; singular values, over the largest, that count as none; and what
+#: share of the residual a correction must leave at most.
+MOST_CORRECTIONS, SINGULAR, WORTH_IT = 20, 1e-8, 0.9
+#: Most corrections of a configuration at rest, and the imbalance that counts as none.
+MOST_BALANCES, BALANCED = 100, 1e-9
+
+
+def start_on_orbit(system: System, spin_rate_ratio: float, rtol: float) -> tuple[State, Integrator]:
+    """A start at time 0, in the orbit frame, and the integrator of motions from there.
+
+    That of the circle with the same semi-major axis, at rest in the frame that turns evenly.
+
+    Raises
+    ------
+    NoSteadyState
+        If no configuration was found on the circle.
+    """
+    circle, spin = on_mean_circle(system), system.spin_rate_rad_s(spin_rate_ratio)
+    state = initial_state(circle, spin_rate_ratio) if spin else hanging(circle)
+    length = float(np.max(np.linalg.norm(state.position_m, axis=1)))
+    integrator = Integrator(system, spin, rtol, length)
+    r = state.position_m
+    if not integrator.arrays.spin:  # the axis is not the orbit normal: at rest in the orbit frame
+        v = state.velocity_m_s
+        still = integrator.scaled(v, r)
+    else:
+        still = integrator.scaled(np.zeros_like(r), r)
+    return from_scaled(integrator, still), integrator
+
+
+def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
+    """The system on another orbit of the same semi-major axis, without what depends on time."""
+    axis = system.orbit_radius_m / (1.0 - system.law_parameters["eccentricity"])
+    values = dict(system.law_parameters)
+    for law in system.acting_laws:
+        if law.parameters and (law.by_velocity or law.feels_stars or not eccentricity):
+            values[law.parameters[0].name] = 0.0
+    return replace(
+        system,
+        orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
+        law_parameters={**values, "eccentricity": eccentricity},
+    )
+
+
+def hanging(system: System) -> State:
+    """Where the formation rests in the orbit frame of a circle, near its layout, all tethers taut.
+
+    Raises
+    ------
+    NoSteadyState
+        If it does not rest there.
+    """
+    arrays, n = kernel_arrays(system, 0.0), system.n
+    taut, still = np.ones(system.m, dtype=bool), np.zeros((n, 3))
+    symbolic = block_lu.analyse(n, system.tether_ends)
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    r, a = np.array(system.layout_m), np.empty((n, 3))
+    radius = np.max(np.linalg.norm(r, axis=1))
+    for _ in range(MOST_BALANCES):
+        forces.acceleration(arrays, taut, 0.0, still, r, a)
+        forces.jacobian(arrays, symbolic.pair, taut, 0.0, still, r, by_r, by_v)
+        matrix = np.zeros((n, 3, n, 3))
+        for block, i, j in zip(by_r, symbolic.row, symbolic.column):
+            matrix[i, :, j] += block
+        # Where the formation is along the orbit is left open, and taken as it is.
+        step = -np.linalg.lstsq(matrix.reshape(3 * n, -1), a.ravel(), rcond=1e-13)[0]
+        if np.max(np.abs(step)) < 1e-13 * radius:
+            break
+        r = r + step.reshape(n, 3) * min(1.0, 0.1 * radius / np.max(np.abs(step)))
+    left = np.max(np.abs(a)) / (3.0 * arrays.rate**2 * radius)
+    slack = ~forces.acting_tethers(system, r, still)
+    if not left < BALANCED * (1.0 + np.max(arrays.stiffness) / arrays.rate**2 * 1e-10):
+        raise NoSteadyState(f"no configuration that hangs was found: {left:.1e} of the gravity"
+                            " gradient is left out of balance")  # fmt: skip
+    if slack.any():
+        name = system.tether_name[int(np.argmax(slack))]
+        raise NoSteadyState(f"no configuration that hangs was found: tether {name} is slack")
+    return State(r, still)
+
+
+# -- shooting --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ClosedMotion:
+    """A motion that closes as far as it could be made to.
+
+    Attributes
+    ----------
+    x : ndarray, shape (6n,)
+        Scaled start.
+    drive : float
+        Share of the spin that a drive gives in a turn.
+    residual : float
+        Norm of what is left of the equations.
+    kick : float
+        Norm of the scaled kick of the whole formation.
+    """
+
+    x: np.ndarray
+    drive: float
+    residual: float
+    kick: float
+
+
+class Closing:
+    """The equations of a motion that closes after l orbits, but for a kick of the whole formation.
+
+    They are those of the beads against the centre of mass. Six more hold the centre at the start in
+    the middle, with a speed along the orbit that brings it back there.
+    """
+
+    def __init__(self, integrator: Integrator, cancelled: Callable[[], bool] | None = None):
+        self.integrator, self.cancelled = integrator, cancelled
+        mass = integrator.system.mass_kg
+        mean = np.kron(np.eye(2), np.kron(mass / mass.sum(), np.eye(3)))
+        self.mean, self.every = (
+            mean,
+            np.kron(np.eye(2), np.kron(np.ones((mass.size, 1)), np.eye(3))),
+        )
+        self.relative = np.eye(6 * mass.size) - self.every @ mean
+        #: Of the centre: the velocity along the orbit at the start is free.
+        self.held = mean[[1, 2, 3, 4, 5]]
+        self.back = mean[[3]]
+
+    def left(self, x: np.ndarray, drive: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """What is left of the equations, and the kick (6,)."""
+        motion = carried_motion(
+            self.integrator.driven(drive), from_scaled(self.integrator, x),
+            self.integrator.period_s, self.cancelled,
+        )  # fmt: skip
+        return self._of_end(self.integrator.scaled(motion.v, motion.r), x)
+
+    def _of_end(self, end, x):
+        change = end - x
+        left = np.concatenate([self.relative @ change, self.held @ x, self.back @ change])
+        return left, self.mean @ change
+
+    def linearised(self, x: np.ndarray, drive: float = 0.0) -> np.ndarray:
+        """Their derivatives by x."""
+        integrator, size = self.integrator.driven(drive), x.size
+        begin = integrator.begin(from_scaled(integrator, x))
+        _, matrix = carry_displacements(
+            integrator, begin, np.eye(size), integrator.period_s, self.cancelled
+        )
+        matrix = matrix - np.eye(size)
+        return np.vstack([self.relative @ matrix, self.held, self.back @ matrix])
+
+    def solve(self, x: np.ndarray, driven: bool = False) -> ClosedMotion:
+        """The motion next to a start, as far as Newton's method leads."""
+        drive = 0.0
+        phase = np.zeros(x.size)
+        if driven:  # the drive takes the place of the phase of the spin, which it leaves open
+            arm = x[x.size // 2 :].reshape(-1, 3)
+            phase[x.size // 2 :] = np.cross([0.0, 0.0, 1.0], arm).ravel()
+            phase /= np.linalg.norm(phase)
+        left, kick = self.left(x)
+        residual = np.linalg.norm(left)
+        for _ in range(MOST_CORRECTIONS):
+            if residual <= NOTHING_LEFT:
+                break
+            matrix = self.linearised(x, drive)
+            if driven:
+                by_drive = (self.left(x, drive + SMALL_LOSS)[0] - left) / SMALL_LOSS
+                matrix = np.block([[matrix, by_drive[:, None]], [phase, 0.0]])
+                left = np.append(left, 0.0)
+            change = -np.linalg.lstsq(matrix, left, rcond=SINGULAR)[0]
+            change *= min(1.0, LARGEST_CHANGE / max(np.max(np.abs(change[: x.size])), 1e-300))
+            for size in (1.0, 0.5, 0.25):
+                step = size * change
+                trial = x + step[: x.size]
+                more = drive + float(step[-1]) if driven else 0.0
+                after, also = self.left(trial, more)
+                if (gain := np.linalg.norm(after) / residual) < WORTH_IT:
+                    break
+            if gain >= WORTH_IT:
+                break
+            x, drive, left, kick = trial, more, after, also
+            residual = np.linalg.norm(left)
+        return ClosedMotion(x, drive, float(residual), float(np.linalg.norm(kick)))
+
+
+def motion_over_orbits(
+    integrator: Integrator, start: State, own: bool, cancelled: Callable[[], bool] | None = None
+) -> ClosedMotion:
+    """The motion next to a start; a hanging formation's own comes from the circle, step by step.
+
+    Found with damped tethers first: those that ring lead Newton's method astray from afar.
+
+    Parameters
+    ----------
+    integrator : Integrator
+        Its period is that of the l orbits.
+    start : State
+    own : bool
+        Whether it is the formation's own start, of `start_on_orbit`.
+    cancelled : callable, optional
+        Asked now and then; a true answer stops the work.
+
+    Returns
+    -------
+    ClosedMotion
+        Of least residual; whether that is small enough is for the caller to say.
+
+    Raises
+    ------
+    IntegrationError, Cancelled
+        If a motion cannot be continued, or was cancelled.
+    """
+    if own and not integrator.spin:
+        x = _followed(integrator, start, cancelled)
+    else:
+        x = to_scaled(integrator, start)
+        x = Closing(_of(integrator, damped(integrator.system)), cancelled).solve(x).x
+    closing = Closing(integrator, cancelled)
+    found = closing.solve(x)
+    if found.residual > CLOSED and integrator.spin:
+        found = min(found, closing.solve(x, driven=True), key=lambda one: one.residual)
+    return found
+
+
+def _of(integrator, system):
+    """The same integrator of another system."""
+    other = Integrator(system, integrator.spin, integrator.rtol, integrator.settings.length)
+    other.period_s = integrator.period_s
+    return other
+
+
+def damped(system: System) -> System:
+    """The system with tethers damped so that none rings."""
+    i, j = system.tether_ends.T
+    inverse = 1.0 / system.mass_kg
+    critical = 2.0 * np.sqrt(
+        system.axial_stiffness_n / system.rest_length_m / (inverse[i] + inverse[j])
+    )
+    return replace(system, damping_n_s_per_m=np.maximum(system.damping_n_s_per_m, critical))
+
+
+def _followed(integrator, start, cancelled):
+    """Scaled start of a damped, hanging formation, followed from the circle in the eccentricity."""
+    system, target = integrator.system, integrator.system.law_parameters["eccentricity"]
+    before, x, e = None, np.zeros(6 * system.n), 0.0
+    x[x.size // 2 :] = start.position_m.ravel() / integrator.settings.length
+    step = FIRST_STEP
+    while e < target:
+        trial = min(e + step, target)
+        there = on_mean_circle(system, trial) if trial < target else system
+        guess = x if before is None else x + (x - before[1]) * (trial - e) / (e - before[0])
+        residual, why = math.inf, ""
+        try:
+            found = Closing(_of(integrator, damped(there)), cancelled).solve(guess)
+            residual = found.residual
+        except IntegrationError as error:
+            why = f": {error}"
+        if residual > CLOSED:
+            step *= 0.5
+            if step < SMALLEST_STEP:
+                raise IntegrationError(
+                    f"the libration was followed from the circle to an eccentricity of {e:.4g},"
+                    f" not beyond{why}"
+                )
+            continue
+        before, x, e = (e, x), found.x, trial
+    return x
