@@ -2,9 +2,11 @@
 
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
+from tss_ros.core.model.elements import orbit_elements
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
 from tss_ros.core.model.laws import LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
@@ -13,6 +15,7 @@ from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_cri
 from tss_ros.core.stability.family import SPECIAL_KINDS, Family, FamilyPoint, SpecialPoint
 from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.follow import follow
+from tss_ros.core.stability.growth import GROWTH_VERDICTS, GrowthResult, lyapunov_exponents
 from tss_ros.core.stability.mode_shapes import (
     DIRECTIONS,
     Mode,
@@ -39,6 +42,7 @@ __all__ = [
     "DIRECTIONS",
     "FAMILIES",
     "FORMATIONS",
+    "GROWTH_VERDICTS",
     "LAW_PARAMETERS",
     "METHODS",
     "SPECIAL_KINDS",
@@ -56,12 +60,14 @@ __all__ = [
     "FamilyJob",
     "FamilyPoint",
     "FloquetResult",
+    "GrowthResult",
     "IntegrationError",
     "CriticalRatesJob",
     "Mode",
     "ModeMotion",
     "NoSteadyState",
     "Propagator",
+    "ReferenceOrbit",
     "FloquetJob",
     "Satellite",
     "SpecialCurve",
@@ -85,8 +91,10 @@ __all__ = [
     "formation",
     "in_words",
     "initial_state",
+    "lyapunov_exponents",
     "mode_motion",
     "name_resonance",
+    "orbit_elements",
     "parameter_of",
     "pushing_share",
     "ring",

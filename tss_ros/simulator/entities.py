@@ -102,6 +102,8 @@ def states(
     a = np.empty_like(r)
     # Without spin the turning frame of the forces is the orbit frame.
     acceleration(kernel_arrays(system, 0.0), acting_tethers(system, r, v), 0.0, v, r, a)
+    if not system.autonomous:
+        a[:] = np.nan  # unknown: the orbit frame does not turn evenly
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

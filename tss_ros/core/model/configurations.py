@@ -15,6 +15,7 @@ from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.orbits import ReferenceOrbit, on_mean_circle
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.numerics import block_lu
 
@@ -77,6 +78,13 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
         The paper's where it has one, then that of the averaged gravity gradient.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
+    if not system.autonomous:
+        # At rest in the frame that turns evenly: the orbit frame itself does not.
+        orbit = ReferenceOrbit(system)
+        for state in initial_states(on_mean_circle(system), spin_rate_ratio):
+            r, v = state.position_m, state.velocity_m_s
+            yield InitialState(r, orbit.from_even_frame(v, r), f"{state.origin}, on a circle")
+        return
     units = ring_units(system)
     if not units or system.n // units > 2:
         yield averaged_state(system, spin_rate_ratio)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +23,7 @@ from tss_ros.core.model.frames import rigid_velocity, rotated_about_z
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
 from tss_ros.core.model.laws.solar_pressure import OBLIQUITY_DEG
-from tss_ros.core.model.system import MU_EARTH, System
+from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, System
 
 #: Degree of the polynomials of a table's piece, and its length over sqrt(R^3 / mu): collisions with
 #: the Earth's centre, seven half-pieces away in complex time, set the accuracy, 1e-15.
@@ -317,6 +318,20 @@ class ReferenceOrbit:
         flat = 1.5 * self._j2 * EQUATORIAL_RADIUS_M**2 / square
         level = (1.0 + flat * (1.0 - 5.0 * above**2 / square)) * q
         return round_ * (level + 2.0 * flat * above * self._pole)
+
+
+def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
+    """The system on another orbit of the same semi-major axis, without what depends on time."""
+    axis = system.orbit_radius_m / (1.0 - system.law_parameters["eccentricity"])
+    values = dict(system.law_parameters)
+    for law in system.acting_laws:
+        if law.parameters and (law.by_velocity or law.feels_stars or not eccentricity):
+            values[law.parameters[0].name] = 0.0
+    return replace(
+        system,
+        orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
+        law_parameters={**values, "eccentricity": eccentricity},
+    )
 
 
 def why_not_autonomous(system: System) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.errors import IntegrationError
+from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -107,6 +108,7 @@ class ClosingEquations:
         p = float(y[-1])
         if p not in self._integrators:
             system, spin = self.at(p)
+            require_autonomous(system, "a family of periodic motions")
             self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)

@@ -15,20 +15,24 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState
-from tss_ros.core.model.orbits import why_not_autonomous
+from tss_ros.core.model.orbits import require_autonomous, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
-from tss_ros.core.stability.judge import drift_radius, judge_measured
+from tss_ros.core.stability.judge import SMALLEST_DRIFT, drift_radius, judge_measured
 from tss_ros.core.stability.modes import FAMILIES, FLAT, multipliers, stays_in_plane
 from tss_ros.core.stability.orbit_motions import ClosedMotion, motion_over_orbits, start_on_orbit
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
-from tss_ros.core.stability.result import FloquetResult
+from tss_ros.core.stability.result import METHODS, FloquetResult
 from tss_ros.core.stability.shooting import closure, from_scaled, integrate_turn, to_scaled
 
 #: Most orbits after which a motion may close, and how near w must be to such a ratio.
 MOST_ORBITS, SAME_RATIO = 12, 1e-9
+#: Largest distance of a motion from the start given for it, over the radius and the rim speed.
+NEAR_START = 0.2
+#: Error of a matrix over its norm and the accuracy aimed at, where it is not measured: as seen.
+ERROR = 10.0
 
 
 def turns_and_orbits(spin_rate_ratio: float) -> tuple[int, int] | None:
@@ -72,7 +76,7 @@ def floquet_over_orbits(
     spin_rate_ratio: float,
     state: State | None,
     rtol: float,
-    how: tuple[bool, bool],
+    how: tuple[str, bool, bool, int | None],
     cancelled: Callable[[], bool] | None = None,
 ) -> FloquetResult:
     """`compute_floquet` where forces in the orbit frame depend on time.
@@ -81,17 +85,25 @@ def floquet_over_orbits(
     ----------
     system, spin_rate_ratio, state, rtol, cancelled
         As for `compute_floquet`.
-    how : tuple of bool
-        Whether to correct the start, and whether to certify.
+    how : tuple
+        method, correct, certify and leading of `compute_floquet`.
 
     Returns
     -------
     FloquetResult
         Its period is l orbits.
+
+    Raises
+    ------
+    TssError
+        If it was asked for the frozen method or for leading multipliers.
     """
+    method, correct, certify, leading = how
+    if method != METHODS[0] or leading is not None:
+        require_autonomous(system, f"method {method}" if leading is None else "leading")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     question = {
-        "method": "monodromy", "spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin,
+        "method": method, "spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin,
         "tether_law": system.tether_law,
     }  # fmt: skip
     none = State(system.layout_m, np.zeros_like(system.layout_m))
@@ -105,23 +117,25 @@ def floquet_over_orbits(
     question |= {"orbits": orbits, "period_s": 2.0 * math.pi * orbits / system.orbit_rate_rad_s}
     missed_by = math.nan
     try:
-        start, integrator = start_on_orbit(system, spin_rate_ratio, rtol)
+        start, integrator = start_on_orbit(system, spin_rate_ratio, rtol, state)
         integrator.period_s = question["period_s"]
-        start = state or start
         missed_by = closure(integrator, start, cancelled).residual
         found = ClosedMotion(to_scaled(integrator, start), 0.0, missed_by, 0.0)
-        if how[0]:
+        if correct:
             found = motion_over_orbits(integrator, start, state is None, cancelled)
         motion = integrator.driven(found.drive)
-        refusal = look(motion, from_scaled(motion, found.x), abs(turns)).refusal if how[0] else ""
-        if found.residual > CLOSED and how[0]:
+        refusal = look(motion, from_scaled(motion, found.x), abs(turns)).refusal if correct else ""
+        if found.residual > CLOSED and correct:
             refusal = f"the best motion over {orbits} orbits closes to {found.residual:.1e} only"
+        apart = float(np.max(np.abs(found.x - to_scaled(integrator, start))))
+        if state is not None and apart > NEAR_START and not refusal:
+            refusal = f"that next to the given state is {apart:.2f} of the radius away"
         if refusal:
             return FloquetResult(
                 **question, state=start, initial_closure_residual=missed_by,
                 message=f"none found over {orbits} orbits: {refusal}",
             )  # fmt: skip
-        return _judged(motion, found, question, turns, missed_by, how[1], cancelled)
+        return _judged(motion, found, question, turns, missed_by, certify, cancelled)
     except (IntegrationError, NoSteadyState) as error:
         return FloquetResult(
             **question, state=state or none, initial_closure_residual=missed_by, message=str(error)
@@ -138,7 +152,7 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
     planar = stays_in_plane(system, start)
     multiplier, vectors = multipliers(turn.matrix, planar)
     family = families_over_orbits(integrator, start, turn.matrix, multiplier, vectors)
-    error = integrator.rtol * float(np.linalg.norm(turn.matrix, 2))
+    error = ERROR * integrator.rtol * float(np.linalg.norm(turn.matrix, 2))
     radius = drift_radius(found.residual, error=error)
     proofs = {}
     if certify:
@@ -152,6 +166,7 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
             "liouville_error": liouville_error(turn, cancelled),
         }
         error = max(proofs["segment_error"], proofs["convergence_error"])
+        radius = max(radius, drift_radius(0.0, error=error))
     judgement = judge_measured(multiplier, family, error, radius)
     seen = look(integrator, start, abs(turns))
     orbits = question["orbits"]
@@ -160,6 +175,8 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
     words += f"; the centre of mass is kicked by {found.kick:.1e} of the radius and rim speed"
     if turn.switches:
         words += f"; {turn.switches} slack/taut switches"
+    if radius > SMALLEST_DRIFT:
+        words += f"; growth of the spin below {radius:.1e} is not told from its drift"
     order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(
         **question,

@@ -11,7 +11,6 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
-from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
@@ -70,9 +69,8 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Next to the motion that is meant; that of the formation's own family, which comes down from
-        fast spin without a break (`families.OwnFamily`), if not given. Without correction, and for
-        "frozen", the start itself, `initial_state` if not given.
+        Next to the motion that is meant; that of the formation's own family (`families.OwnFamily`)
+        if not given. Without correction, and for "frozen", the start itself or `initial_state`.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -89,9 +87,7 @@ def compute_floquet(
     Returns
     -------
     FloquetResult
-        Also where no periodic motion was found: that is a verdict, not an error. On an ellipse the
-        period is that of k turns in l orbits; at other rates nothing is periodic, and
-        `lyapunov_exponents` is the function to ask.
+        Also where no periodic motion was found: that is a verdict, not an error.
 
     Raises
     ------
@@ -103,9 +99,7 @@ def compute_floquet(
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if not system.autonomous:
-        if method != METHODS[0] or leading is not None:
-            require_autonomous(system, f"method {METHODS[1]}" if leading is None else "leading")
-        how = correct, certify
+        how = method, correct, certify, leading
         return floquet_over_orbits(system, spin_rate_ratio, state, rtol, how, cancelled)
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     try:

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tss_ros.core.errors import IntegrationError, NoSteadyState
+from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model import forces
 from tss_ros.core.model.configurations import initial_state
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.system import RADIUS_EARTH_M, State, System
+from tss_ros.core.model.orbits import on_mean_circle
+from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.numerics import block_lu
@@ -28,46 +29,38 @@ from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scal
 FIRST_STEP, SMALLEST_STEP = 0.05, 1e-3
 #: Most corrections of a start; singular values, over the largest, that count as none; and what
 #: share of the residual a correction must leave at most.
-MOST_CORRECTIONS, SINGULAR, WORTH_IT = 20, 1e-8, 0.9
+MOST_CORRECTIONS, SINGULAR, WORTH_IT = 40, 1e-8, 0.9
+#: A motion closes without a drive, locked to the orbit, if no more than this is left.
+WITHOUT_DRIVE = 1e-9
 #: Most corrections of a configuration at rest, and the imbalance that counts as none.
 MOST_BALANCES, BALANCED = 100, 1e-9
 
 
-def start_on_orbit(system: System, spin_rate_ratio: float, rtol: float) -> tuple[State, Integrator]:
+def start_on_orbit(
+    system: System, spin_rate_ratio: float, rtol: float, state: State | None = None
+) -> tuple[State, Integrator]:
     """A start at time 0, in the orbit frame, and the integrator of motions from there.
 
-    That of the circle with the same semi-major axis, at rest in the frame that turns evenly.
+    If none is given, that of the circle with the same semi-major axis, at rest in the frame that
+    turns evenly.
 
     Raises
     ------
     NoSteadyState
         If no configuration was found on the circle.
     """
-    circle, spin = on_mean_circle(system), system.spin_rate_rad_s(spin_rate_ratio)
-    state = initial_state(circle, spin_rate_ratio) if spin else hanging(circle)
-    length = float(np.max(np.linalg.norm(state.position_m, axis=1)))
+    spin = system.spin_rate_rad_s(spin_rate_ratio)
+    start = state
+    if state is None:
+        start = initial_state(system, spin_rate_ratio) if spin else hanging(on_mean_circle(system))
+    length = float(np.max(np.linalg.norm(start.position_m, axis=1), initial=0.0))
+    if not length:
+        raise TssError("state must have a bead away from the frame's origin")
     integrator = Integrator(system, spin, rtol, length)
-    r = state.position_m
-    if not integrator.arrays.spin:  # the axis is not the orbit normal: at rest in the orbit frame
-        v = state.velocity_m_s
-        still = integrator.scaled(v, r)
-    else:
-        still = integrator.scaled(np.zeros_like(r), r)
-    return from_scaled(integrator, still), integrator
-
-
-def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
-    """The system on another orbit of the same semi-major axis, without what depends on time."""
-    axis = system.orbit_radius_m / (1.0 - system.law_parameters["eccentricity"])
-    values = dict(system.law_parameters)
-    for law in system.acting_laws:
-        if law.parameters and (law.by_velocity or law.feels_stars or not eccentricity):
-            values[law.parameters[0].name] = 0.0
-    return replace(
-        system,
-        orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
-        law_parameters={**values, "eccentricity": eccentricity},
-    )
+    if state is None and not spin and integrator.orbit:
+        r = start.position_m
+        start = State(r, integrator.orbit.from_even_frame(start.velocity_m_s, r))
+    return start, integrator
 
 
 def hanging(system: System) -> State:
@@ -142,11 +135,9 @@ class Closing:
         self.integrator, self.cancelled = integrator, cancelled
         mass = integrator.system.mass_kg
         mean = np.kron(np.eye(2), np.kron(mass / mass.sum(), np.eye(3)))
-        self.mean, self.every = (
-            mean,
-            np.kron(np.eye(2), np.kron(np.ones((mass.size, 1)), np.eye(3))),
-        )
-        self.relative = np.eye(6 * mass.size) - self.every @ mean
+        every = np.kron(np.eye(2), np.kron(np.ones((mass.size, 1)), np.eye(3)))
+        self.mean = mean
+        self.relative = np.eye(6 * mass.size) - every @ mean
         #: Of the centre: the velocity along the orbit at the start is free.
         self.held = mean[[1, 2, 3, 4, 5]]
         self.back = mean[[3]]
@@ -174,15 +165,14 @@ class Closing:
         matrix = matrix - np.eye(size)
         return np.vstack([self.relative @ matrix, self.held, self.back @ matrix])
 
-    def solve(self, x: np.ndarray, driven: bool = False) -> ClosedMotion:
-        """The motion next to a start, as far as Newton's method leads."""
-        drive = 0.0
+    def solve(self, x: np.ndarray, driven: bool = False, drive: float = 0.0) -> ClosedMotion:
+        """The motion next to a start, as far as Newton's method leads; with a drive or without."""
         phase = np.zeros(x.size)
         if driven:  # the drive takes the place of the phase of the spin, which it leaves open
             arm = x[x.size // 2 :].reshape(-1, 3)
             phase[x.size // 2 :] = np.cross([0.0, 0.0, 1.0], arm).ravel()
             phase /= np.linalg.norm(phase)
-        left, kick = self.left(x)
+        left, kick = self.left(x, drive)
         residual = np.linalg.norm(left)
         for _ in range(MOST_CORRECTIONS):
             if residual <= NOTHING_LEFT:
@@ -235,15 +225,22 @@ def motion_over_orbits(
     IntegrationError, Cancelled
         If a motion cannot be continued, or was cancelled.
     """
-    if own and not integrator.spin:
-        x = _followed(integrator, start, cancelled)
-    else:
-        x = to_scaled(integrator, start)
-        x = Closing(_of(integrator, damped(integrator.system)), cancelled).solve(x).x
+    near = ClosedMotion(to_scaled(integrator, start), 0.0, math.inf, 0.0)
+    if integrator.spin or not own:
+        near = _best(_of(integrator, damped(integrator.system)), near, cancelled)
+    if near.residual > CLOSED and own:
+        near = _followed(integrator, start, cancelled)
+    return _best(integrator, near, cancelled)
+
+
+def _best(integrator, near, cancelled):
+    """The motion next to another one, with a drive if it closes with one only."""
     closing = Closing(integrator, cancelled)
-    found = closing.solve(x)
-    if found.residual > CLOSED and integrator.spin:
-        found = min(found, closing.solve(x, driven=True), key=lambda one: one.residual)
+    found = closing.solve(near.x)
+    for x in (near.x, found.x):
+        if found.residual > WITHOUT_DRIVE and integrator.spin:
+            driven = closing.solve(x, True, near.drive)
+            found = min(found, driven, key=lambda one: one.residual)
     return found
 
 
@@ -265,18 +262,19 @@ def damped(system: System) -> System:
 
 
 def _followed(integrator, start, cancelled):
-    """Scaled start of a damped, hanging formation, followed from the circle in the eccentricity."""
+    """The motion of the damped formation, followed from the circle in the eccentricity."""
     system, target = integrator.system, integrator.system.law_parameters["eccentricity"]
     before, x, e = None, np.zeros(6 * system.n), 0.0
     x[x.size // 2 :] = start.position_m.ravel() / integrator.settings.length
-    step = FIRST_STEP
+    step, drive = FIRST_STEP, 0.0
     while e < target:
         trial = min(e + step, target)
         there = on_mean_circle(system, trial) if trial < target else system
         guess = x if before is None else x + (x - before[1]) * (trial - e) / (e - before[0])
         residual, why = math.inf, ""
         try:
-            found = Closing(_of(integrator, damped(there)), cancelled).solve(guess)
+            guess = ClosedMotion(guess, drive, math.inf, 0.0)
+            found = _best(_of(integrator, damped(there)), guess, cancelled)
             residual = found.residual
         except IntegrationError as error:
             why = f": {error}"
@@ -284,9 +282,9 @@ def _followed(integrator, start, cancelled):
             step *= 0.5
             if step < SMALLEST_STEP:
                 raise IntegrationError(
-                    f"the libration was followed from the circle to an eccentricity of {e:.4g},"
+                    f"the motion was followed from the circle to an eccentricity of {e:.4g},"
                     f" not beyond{why}"
                 )
             continue
-        before, x, e = (e, x), found.x, trial
-    return x
+        before, x, e, drive = (e, x), found.x, trial, found.drive
+    return found
