@@ -315,6 +315,18 @@ def test_variations_are_those_of_an_independent_integration(laws):
         np.testing.assert_allclose(found_v, expected_v, rtol=0.0, atol=1e-8 * scale * 0.1)
 
 
+@on_all_orbits
+def test_accelerations_in_the_orbit_frame_are_the_rates_of_velocities(laws):
+    system = triangle(**laws)
+    motion = Propagator(system, -3.0, tumbling(system), rtol=1e-12)
+    taut = np.ones(system.m, dtype=bool)
+    for time in (0.5, 5000.0):
+        r, v = motion.sample(time + 0.25 * np.arange(-2, 3))
+        a = ReferenceOrbit(system).relative_acceleration(time, taut, v[2], r[2])
+        expected = (8.0 * (v[3] - v[1]) - (v[4] - v[0])) / 3.0
+        np.testing.assert_allclose(a, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("laws", [ELLIPSE, INCLINED], ids=["ellipse", "oblate"])
 def test_motions_do_not_depend_on_how_calls_are_cut(laws):
     """Nor on a restart from what the integrator remembers: bit for bit."""

@@ -13,9 +13,10 @@ from scipy.optimize import root
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
+from tss_ros.core.model.elements import on_mean_circle
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import ReferenceOrbit, on_mean_circle
+from tss_ros.core.model.orbits import reference_orbit
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.numerics import block_lu
 
@@ -80,7 +81,7 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     if not system.autonomous:
         # At rest in the frame that turns evenly: the orbit frame itself does not.
-        orbit = ReferenceOrbit(system)
+        orbit = reference_orbit(system)
         for state in initial_states(on_mean_circle(system), spin_rate_ratio):
             r, v = state.position_m, state.velocity_m_s
             yield InitialState(r, orbit.from_even_frame(v, r), f"{state.origin}, on a circle")

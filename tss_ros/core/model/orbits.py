@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,12 +17,13 @@ from numpy.polynomial import chebyshev
 from numpy.polynomial.polynomial import polyint
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model import forces
 from tss_ros.core.model.elements import axes_of, eccentric_anomaly, of_degrees
 from tss_ros.core.model.frames import rigid_velocity, rotated_about_z
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
 from tss_ros.core.model.laws.solar_pressure import OBLIQUITY_DEG
-from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, System
+from tss_ros.core.model.system import MU_EARTH, System
 
 #: Degree of the polynomials of a table's piece, and its length over sqrt(R^3 / mu): collisions with
 #: the Earth's centre, seven half-pieces away in complex time, set the accuracy, 1e-15.
@@ -211,6 +211,36 @@ class ReferenceOrbit:
         fixed_v -= np.cross(turning[:, None], fixed_r)
         return tuple(np.einsum("kij,knj->kni", axes, x) for x in (fixed_v, fixed_r))
 
+    def relative_acceleration(
+        self, time_s: float, taut: np.ndarray, v: np.ndarray, r: np.ndarray
+    ) -> np.ndarray:
+        """Accelerations (n, 3) [m/s^2] of beads as seen from the orbit frame.
+
+        Parameters
+        ----------
+        time_s : float
+        taut : ndarray, shape (m,), bool
+            Which tethers exert a force.
+        v, r : ndarray, shape (n, 3)
+            Velocities [m/s] and positions [m] in the orbit frame.
+        """
+        step = 1e-4 / self.rate_rad_s * (1.0 - self._e) ** 1.5
+        axes, turning = self.frame(time_s + step * np.arange(3.0))
+        axes, omega = axes[0], turning[0]
+        faster = (4.0 * turning[1] - 3.0 * omega - turning[2]) / (2.0 * step)
+        fixed_r, fixed_v = r @ axes, v @ axes
+        angle, rate = self.rate_rad_s * time_s, self.rate_rad_s
+        even_r = rotated_about_z(fixed_r, -angle)
+        even_v = rotated_about_z(fixed_v + np.cross(omega, fixed_r), -angle)
+        even_v -= rigid_velocity(even_r, rate)
+        arrays, a = self.arrays(0.0), np.empty_like(r)
+        if not self.repeats:
+            arrays = self.with_table(arrays, time_s, time_s)
+        forces.acceleration(arrays, taut, time_s, even_v, even_r, a)
+        a += rigid_velocity(2.0 * even_v + rigid_velocity(even_r, rate), rate)
+        a = rotated_about_z(a, angle) - np.cross(faster, fixed_r)
+        return (a - np.cross(omega, 2.0 * fixed_v + np.cross(omega, fixed_r))) @ axes.T
+
     # -- tables -----------------------------------------------------------------------------------
 
     def arrays(self, turning_rad_s: float) -> KernelArrays:
@@ -320,18 +350,18 @@ class ReferenceOrbit:
         return round_ * (level + 2.0 * flat * above * self._pole)
 
 
-def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
-    """The system on another orbit of the same semi-major axis, without what depends on time."""
-    axis = system.orbit_radius_m / (1.0 - system.law_parameters["eccentricity"])
-    values = dict(system.law_parameters)
-    for law in system.acting_laws:
-        if law.parameters and (law.by_velocity or law.feels_stars or not eccentricity):
-            values[law.parameters[0].name] = 0.0
-    return replace(
-        system,
-        orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
-        law_parameters={**values, "eccentricity": eccentricity},
-    )
+#: The latest system and its orbit.
+_latest: list[tuple[System, ReferenceOrbit]] = []
+
+
+def reference_orbit(system: System) -> ReferenceOrbit:
+    """The orbit of a system; that of the latest one is kept, with what was integrated of it."""
+    for known, orbit in list(_latest):
+        if known is system:
+            return orbit
+    orbit = ReferenceOrbit(system)
+    _latest[:] = [(system, orbit)]
+    return orbit
 
 
 def why_not_autonomous(system: System) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import ReferenceOrbit, why_not_autonomous
+from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.compilation import compile_ahead
@@ -73,7 +73,7 @@ class Integrator:
         self.system, self.rtol, self.spin = system, rtol, spin_rate_rad_s
         turning = system.turning_rad_s(spin_rate_rad_s)
         #: Of the formation's centre, where forces in the orbit frame depend on time.
-        self.orbit = None if system.autonomous else ReferenceOrbit(system)
+        self.orbit = None if system.autonomous else reference_orbit(system)
         self.arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
         kind = INTEGRATORS[integrator]
         if self.orbit:

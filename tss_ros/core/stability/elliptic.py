@@ -175,7 +175,7 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
     words += f"; the centre of mass is kicked by {found.kick:.1e} of the radius and rim speed"
     if turn.switches:
         words += f"; {turn.switches} slack/taut switches"
-    if radius > SMALLEST_DRIFT:
+    if radius > SMALLEST_DRIFT and integrator.spin:
         words += f"; growth of the spin below {radius:.1e} is not told from its drift"
     order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
     return FloquetResult(

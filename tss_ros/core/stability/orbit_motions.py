@@ -16,8 +16,8 @@ import numpy as np
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model import forces
 from tss_ros.core.model.configurations import initial_state
+from tss_ros.core.model.elements import on_mean_circle
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import on_mean_circle
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
