@@ -15,6 +15,7 @@ from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_cri
 from tss_ros.core.stability.family import SPECIAL_KINDS, Family, FamilyPoint, SpecialPoint
 from tss_ros.core.stability.floquet import compute_floquet
 from tss_ros.core.stability.follow import follow
+from tss_ros.core.stability.growth import GROWTH_VERDICTS, GrowthResult, lyapunov_exponents
 from tss_ros.core.stability.mode_shapes import (
     DIRECTIONS,
     Mode,
@@ -41,6 +42,7 @@ __all__ = [
     "DIRECTIONS",
     "FAMILIES",
     "FORMATIONS",
+    "GROWTH_VERDICTS",
     "LAW_PARAMETERS",
     "METHODS",
     "SPECIAL_KINDS",
@@ -59,6 +61,7 @@ __all__ = [
     "FamilyJob",
     "FamilyPoint",
     "FloquetResult",
+    "GrowthResult",
     "IntegrationError",
     "CriticalRatesJob",
     "Mode",
@@ -89,6 +92,7 @@ __all__ = [
     "formation",
     "in_words",
     "initial_state",
+    "lyapunov_exponents",
     "mode_motion",
     "name_resonance",
     "orbit_elements",

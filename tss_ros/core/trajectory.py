@@ -68,8 +68,10 @@ class SampledMotion(Presented):
 
         Kinetic energy, that of a round Earth's gravity and of centrifugal force against the
         frame's origin, and that of the taut tethers. Nothing but damping, drag and the Earth's
-        oblateness changes it.
+        oblateness changes it. NaN where forces depend on time, as on an ellipse: there is none.
         """
+        if not self.system.autonomous:
+            return np.full(len(self.t_s), np.nan)
         radius = self.system.orbit_radius_m
         y, z = self.position_m[..., 1], self.position_m[..., 2]
         # |q|^2 / R^2 - 1 for the distance q from the Earth's centre.

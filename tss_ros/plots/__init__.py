@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tss_ros.plots.motions import trajectories as trajectories
     from tss_ros.plots.results import disturbance as disturbance
     from tss_ros.plots.results import plot_chart as plot_chart
+    from tss_ros.plots.results import plot_growth as plot_growth
     from tss_ros.plots.results import plot_modulus as plot_modulus
     from tss_ros.plots.results import plot_multipliers as plot_multipliers
     from tss_ros.plots.style import Figure as Figure
@@ -37,7 +38,13 @@ _PLACES = {
     "tss_ros.plots.families": ("family", "special_curves"),
     "tss_ros.plots.mode_shapes": ("mode_of", "mode_shape", "shown_mode", "shown_motion"),
     "tss_ros.plots.motions": ("balance", "deviation", "tethers", "trajectories"),
-    "tss_ros.plots.results": ("disturbance", "plot_chart", "plot_modulus", "plot_multipliers"),
+    "tss_ros.plots.results": (
+        "disturbance",
+        "plot_chart",
+        "plot_growth",
+        "plot_modulus",
+        "plot_multipliers",
+    ),
     "tss_ros.plots.style": ("Figure",),
 }
 __all__ = sorted(name for names in _PLACES.values() for name in names)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tss_ros.core import FAMILIES, CriticalRate, FloquetResult, TssError
+from tss_ros.core import FAMILIES, CriticalRate, FloquetResult, GrowthResult, TssError
 from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.plots.charts import stability, stability_map
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, Figure, finish, legend_below, state_law
@@ -66,6 +66,37 @@ def plot_multipliers(result: FloquetResult, law: str | None = None) -> Figure:
     finish(axes, "real part of ρ [-]", "imaginary part of ρ [-]")
     legend_below(figure, axes, columns=3)
     state_law(figure, _law([result]) if law is None else law)
+    return figure
+
+
+def plot_growth(result: GrowthResult) -> Figure:
+    """Lyapunov exponents of a motion, as they settle over the turns.
+
+    Parameters
+    ----------
+    result : GrowthResult
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        At the end stand the exponents with their errors. Below the dotted line growth is not told
+        from none.
+    """
+    figure = Figure(figsize=(7.2, 4.6), dpi=DPI, layout="constrained")
+    axes = figure.subplots()
+    turns = np.arange(1, result.turns + 1)
+    for k, history in enumerate(result.history_per_s.T):
+        style = {"color": COLOURS[k % len(COLOURS)]}
+        axes.plot(turns, history, linewidth=1.2, label=f"exponent {k + 1}", **style)
+        axes.errorbar(
+            [result.turns], [result.exponent_per_s[k]], [result.error_per_s[k]], fmt="o",
+            capsize=3, **style,
+        )  # fmt: skip
+    axes.axhline(0.0, color=INK, linewidth=0.9)
+    axes.axhline(result.resolution_per_s, color=INK, linewidth=0.9, linestyle=":")
+    finish(axes, "turns", "mean growth until then [1/s]")
+    legend_below(figure, axes, 4)
+    state_law(figure, "", f"\u03c9 = {result.spin_rate_ratio:g} \u03a9: {result.verdict}")
     return figure
 
 

@@ -24,6 +24,7 @@ from std_msgs.msg import Header
 from tss_ros.core import System, TssError
 from tss_ros.core.model.forces import acceleration, acting_tethers
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.orbits import reference_orbit
 from tss_ros.ros.messages import stamp
 from tss_ros.simulator.control import Code, Refused
 from tss_ros.simulator.simulation import Sample
@@ -101,7 +102,11 @@ def states(
     r, v = sample.position_m, sample.velocity_m_s
     a = np.empty_like(r)
     # Without spin the turning frame of the forces is the orbit frame.
-    acceleration(kernel_arrays(system, 0.0), acting_tethers(system, r, v), 0.0, v, r, a)
+    taut = acting_tethers(system, r, v)
+    if system.autonomous:
+        acceleration(kernel_arrays(system, 0.0), taut, 0.0, v, r, a)
+    else:
+        a = reference_orbit(system).relative_acceleration(sample.time_ns / 1e9, taut, v, r)
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

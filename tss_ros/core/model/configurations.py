@@ -15,9 +15,11 @@ from tss_ros.core.errors import NoSteadyState, TssError
 from tss_ros.core.model import forces
 from tss_ros.core.model.averaged_balance import AveragedBalance
 from tss_ros.core.model.axes import resting_state
+from tss_ros.core.model.elements import on_mean_circle
 from tss_ros.core.model.equilibria import equilibrium
 from tss_ros.core.model.frames import rigid_velocity, turn_to
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.orbits import reference_orbit
 from tss_ros.core.model.system import State, System, finite
 
 #: Where a formation that hangs starts.
@@ -78,6 +80,13 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
         the equilibrium of the orbit frame.
     """
     spin = system.spin_rate_rad_s(spin_rate_ratio)
+    if not system.autonomous:
+        # At rest in the frame that turns evenly: the orbit frame itself does not.
+        orbit = reference_orbit(system)
+        for state in initial_states(on_mean_circle(system), spin_rate_ratio):
+            r, v = state.position_m, state.velocity_m_s
+            yield InitialState(r, orbit.from_even_frame(v, r), f"{state.origin}, on a circle")
+        return
     if not spin:
         place = equilibrium(system)
         yield InitialState(place, np.zeros_like(place), EQUILIBRIUM)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
-from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, numbers
+from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, System, numbers
 
 #: An eccentricity or inclination [rad] of a state below this is rounding.
 NONE = 1e-11
@@ -105,3 +106,17 @@ def orbit_elements(position_m: np.ndarray, velocity_m_s: np.ndarray) -> dict[str
         "eccentricity": 0.0 if e < NONE else e,
         **{name: math.degrees(x) % 360.0 for name, x in angles.items()},
     }
+
+
+def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
+    """The system on another orbit of the same semi-major axis, without what depends on time."""
+    axis = system.orbit_radius_m / (1.0 - system.law_parameters["eccentricity"])
+    values = dict(system.law_parameters)
+    for law in system.acting_laws:
+        if law.parameters and (law.by_velocity or law.feels_stars or not eccentricity):
+            values[law.parameters[0].name] = 0.0
+    return replace(
+        system,
+        orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
+        law_parameters={**values, "eccentricity": eccentricity},
+    )

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.polynomial.polynomial import polyint
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model import forces
 from tss_ros.core.model.elements import axes_of, eccentric_anomaly, of_degrees
 from tss_ros.core.model.frames import Z_AXIS, rigid_velocity, turn_about
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
@@ -186,8 +188,16 @@ class ReferenceOrbit:
 
         Of velocities and positions in the orbit frame; positions are the same in both.
         """
+        return v + np.cross(self._faster, r)
+
+    def from_even_frame(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """The inverse of `into_even_frame`."""
+        return v - np.cross(self._faster, r)
+
+    @cached_property
+    def _faster(self):
         _, turning = self.frame(np.zeros(1))
-        return v + np.cross(turning[0] - [0.0, 0.0, self.rate_rad_s], r)
+        return turning[0] - [0.0, 0.0, self.rate_rad_s]
 
     def out_of_even_frame(
         self, time_s: np.ndarray, v: np.ndarray, r: np.ndarray
@@ -204,6 +214,37 @@ class ReferenceOrbit:
             fixed_v[k] = (v[k] + rigid_velocity(r[k], self.rate_rad_s)) @ turn.T
         fixed_v -= np.cross(turning[:, None], fixed_r)
         return tuple(np.einsum("kij,knj->kni", axes, x) for x in (fixed_v, fixed_r))
+
+    def relative_acceleration(
+        self, time_s: float, taut: np.ndarray, v: np.ndarray, r: np.ndarray
+    ) -> np.ndarray:
+        """Accelerations (n, 3) [m/s^2] of beads as seen from the orbit frame.
+
+        Parameters
+        ----------
+        time_s : float
+        taut : ndarray, shape (m,), bool
+            Which tethers exert a force.
+        v, r : ndarray, shape (n, 3)
+            Velocities [m/s] and positions [m] in the orbit frame.
+        """
+        step = 1e-4 / self.rate_rad_s * (1.0 - self._e) ** 1.5
+        axes, turning = self.frame(time_s + step * np.arange(3.0))
+        axes, omega = axes[0], turning[0]
+        faster = (4.0 * turning[1] - 3.0 * omega - turning[2]) / (2.0 * step)
+        fixed_r, fixed_v = r @ axes, v @ axes
+        rate = self.rate_rad_s
+        turn = turn_about(Z_AXIS, rate * time_s)
+        even_r = fixed_r @ turn
+        even_v = (fixed_v + np.cross(omega, fixed_r)) @ turn
+        even_v -= rigid_velocity(even_r, rate)
+        arrays, a = self.arrays(0.0), np.empty_like(r)
+        if not self.repeats:
+            arrays = self.with_table(arrays, time_s, time_s)
+        forces.acceleration(arrays, taut, time_s, even_v, even_r, a)
+        a += rigid_velocity(2.0 * even_v + rigid_velocity(even_r, rate), rate)
+        a = a @ turn.T - np.cross(faster, fixed_r)
+        return (a - np.cross(omega, 2.0 * fixed_v + np.cross(omega, fixed_r))) @ axes.T
 
     # -- tables -----------------------------------------------------------------------------------
 
@@ -312,6 +353,20 @@ class ReferenceOrbit:
         flat = 1.5 * self._j2 * EQUATORIAL_RADIUS_M**2 / square
         level = (1.0 + flat * (1.0 - 5.0 * above**2 / square)) * q
         return round_ * (level + 2.0 * flat * above * self._pole)
+
+
+#: The latest system and its orbit.
+_latest: list[tuple[System, ReferenceOrbit]] = []
+
+
+def reference_orbit(system: System) -> ReferenceOrbit:
+    """The orbit of a system; that of the latest one is kept, with what was integrated of it."""
+    for known, orbit in list(_latest):
+        if known is system:
+            return orbit
+    orbit = ReferenceOrbit(system)
+    _latest[:] = [(system, orbit)]
+    return orbit
 
 
 def why_not_autonomous(system: System) -> str:

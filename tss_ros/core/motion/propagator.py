@@ -11,7 +11,7 @@ import numpy as np
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import ReferenceOrbit, why_not_autonomous
+from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.compilation import compile_ahead
@@ -73,7 +73,7 @@ class Integrator:
         self.system, self.rtol, self.spin = system, rtol, spin_rate_rad_s
         turning = system.turning_rad_s(spin_rate_rad_s)
         #: Of the formation's centre, where forces in the orbit frame depend on time.
-        self.orbit = None if system.autonomous else ReferenceOrbit(system)
+        self.orbit = None if system.autonomous else reference_orbit(system)
         self.arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
         kind = INTEGRATORS[integrator]
         if self.orbit:
@@ -87,6 +87,8 @@ class Integrator:
         self.tables = radau_tables.radau(stages)
         self._table = None
         self._no_samples = self.samples(np.empty(0))
+        #: T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs.
+        self.period_s = 2.0 * math.pi / abs(spin_rate_rad_s or system.orbit_rate_rad_s)
         rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
         self.turn_s = 2.0 * math.pi / rate
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
@@ -273,17 +275,12 @@ class Integrator:
         if not (table and table[0] <= first and last <= table[1]):
             # Anew, not changed: other threads may be on the old one.
             self._table = table = first, last, self.orbit.with_table(self.arrays, first, last)
-        return table[2]._replace(drive=self.arrays.drive)
+        return table[2]._replace(drive=self.arrays.drive, drive_across=self.arrays.drive_across)
 
     def _leave(self, samples, part):
         """Take samples that the kernels have just written to the orbit frame."""
         v, r = self.orbit.out_of_even_frame(samples.times[part], samples.v[part], samples.r[part])
         samples.v[part], samples.r[part] = v, r
-
-    @property
-    def period_s(self) -> float:
-        """T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs."""
-        return 2.0 * math.pi / abs(self.spin or self.arrays.rate)
 
     def scaled(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
         """Velocities over the rim speed, then positions over the radius, as one vector (6n,)."""

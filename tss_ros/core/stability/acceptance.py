@@ -38,8 +38,8 @@ class Look:
     refusal: str
 
 
-def look(integrator: Integrator, start: State) -> Look:
-    """Look at the turn from a start.
+def look(integrator: Integrator, start: State, turns: int = 1) -> Look:
+    """Look at the motion from a start over the integrator's period.
 
     It must turn once in the sense of the spin, keep its tethers near their lengths, and hold every
     bead by tethers that are taut at some time.
@@ -48,6 +48,8 @@ def look(integrator: Integrator, start: State) -> Look:
     ----------
     integrator : Integrator
     start : State
+    turns : int
+        That it must make instead, 0 if it hangs.
 
     Returns
     -------
@@ -59,7 +61,8 @@ def look(integrator: Integrator, start: State) -> Look:
         If the motion cannot be continued.
     """
     system = integrator.system
-    times = integrator.period_s / SAMPLES * np.arange(SAMPLES + 1)
+    count = SAMPLES * max(turns, 1)
+    times = integrator.period_s / count * np.arange(count + 1)
     samples, motion = integrator.samples(times), integrator.begin(start)
     integrator.advance(motion, integrator.period_s * (1.0 + 1e-9), samples=samples)
     length, tension, taut = forces.tether_state(system, samples.r, samples.v)
@@ -68,21 +71,21 @@ def look(integrator: Integrator, start: State) -> Look:
     loose = loose_beads(system, held)
     axis = spin_axis_of(system, start, integrator.spin)
     refusal = (
-        _turned(system, samples.r, integrator.spin, axis)
+        _turned(system, samples.r, integrator.spin or 1.0, axis, turns)
         or _collapsed(system, length)
         or (loose and f"no tether that is ever taut holds {loose}")
     )
     return Look(forces.pushing_share(tension[:-1], taut[:-1]), never_taut, refusal)
 
 
-def _turned(system: System, r: np.ndarray, spin: float, axis: np.ndarray) -> str:
-    """Why positions (k, n, 3) do not turn once about an axis in the sense of the spin."""
+def _turned(system: System, r: np.ndarray, spin: float, axis: np.ndarray, wanted: int) -> str:
+    """Why positions (k, n, 3) do not turn so often about an axis in the sense of the spin."""
     turns = turns_made(r - np.average(r, axis=1, weights=system.mass_kg)[:, None], spin, axis)
     for name, made in zip(system.bead_name, turns):
-        if not np.isnan(made) and round(made) != 1:
+        if not np.isnan(made) and round(made) != wanted:
             return (
                 f"it turns {name} {made:.2f} times about the centre of mass in the sense of the"
-                " spin, not once"
+                f" spin, not {'once' if wanted == 1 else f'{wanted} times'}"
             )
     return ""
 

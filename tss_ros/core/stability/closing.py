@@ -13,6 +13,7 @@ import numpy as np
 
 from tss_ros.core.errors import IntegrationError
 from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -115,6 +116,7 @@ class ClosingEquations:
     def _undriven(self, p):
         if p not in self._integrators:
             system, spin = self.at(p)
+            require_autonomous(system, "a family of periodic motions")
             self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)

@@ -10,6 +10,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import System, finite
 from tss_ros.core.presentation import Presented
 from tss_ros.core.stability.floquet import compute_floquet
@@ -114,6 +115,7 @@ def find_critical_rates(
     low, high = sorted(
         (finite("spin_rate_ratio_from", ratio_from), finite("spin_rate_ratio_to", ratio_to))
     )
+    require_autonomous(system, "find_critical_rates")
     finite("tolerance", tolerance, at_least=1e-6)
     finite("spacing", spacing, at_least=1e-3)
     if not low < high:

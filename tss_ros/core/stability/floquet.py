@@ -18,6 +18,7 @@ from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability import families, harmonic_balance, leading_multipliers
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.continuation import Ended
+from tss_ros.core.stability.elliptic import floquet_over_orbits
 from tss_ros.core.stability.formation_motion import driven_for, formation_motion, refused
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.hanging import hanging_floquet
@@ -101,6 +102,9 @@ def compute_floquet(
     """
     if method not in METHODS:
         raise TssError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not system.autonomous:
+        how = method, correct, certify, leading
+        return floquet_over_orbits(system, spin_rate_ratio, state, rtol, how, cancelled)
     spin = system.spin_rate_rad_s(spin_rate_ratio)
     if leading is None and system.n > MOST_BEADS:
         leading = LEADING
@@ -289,7 +293,7 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         closure_residual=left,
         initial_closure_residual=missed_by if corrected else left,
         spin_loss=loss,
-        det_z_error=_det_z_error(turn),
+        det_z_error=turn.det_z_error,
         flow_error=found.flow_error,
         switches=turn.switches,
         pushing_share=seen.pushing_share,
@@ -372,11 +376,3 @@ def _origin(start, corrected_from=None):
     if corrected_from is not None:
         words += f", corrected from closure residual {corrected_from:.1e}"
     return words
-
-
-def _det_z_error(turn):
-    """|det Z - 1| of the out-of-plane variations, if the motion stays in the orbit plane."""
-    x = np.stack([to_scaled(turn.integrator, turn.start), to_scaled(turn.integrator, turn.end)])
-    if np.max(np.abs(x[:, 2::3])) > 1e-12:
-        return math.nan
-    return float(abs(np.linalg.det(turn.matrix[2::3, 2::3]) - 1.0))

@@ -122,6 +122,27 @@ def judge(
     return _verdict(multiplier, family, tolerance, periodic, drifting, found, errors)
 
 
+def judge_measured(
+    multiplier: np.ndarray, family: np.ndarray, error: float, radius: float
+) -> Judgement:
+    """Judge the multipliers of a closed motion on an ellipse, where theory puts none but at 1.
+
+    Parameters
+    ----------
+    multiplier, family, radius
+        As for `judge`. Those of the centre of mass are all at 1, in blocks.
+    error : float
+        Of the multipliers outside the blocks, measured.
+    """
+    tolerance = np.full(multiplier.size, max(SMALLEST_TOLERANCE, TRIVIAL_ERRORS * error))
+    blocks = (family == FAMILIES[0]) | (family == FAMILIES[1])
+    jordan = np.max(np.abs(np.abs(multiplier[blocks]) - 1.0), initial=0.0)
+    drifting = (family == "spin") & (np.abs(multiplier) > 1.0 + radius)
+    found = np.ones(multiplier.size, dtype=bool)
+    errors = math.nan, float(jordan)
+    return _verdict(multiplier, family, tolerance, True, drifting, found, errors)
+
+
 def judge_frozen(multiplier: np.ndarray, family: np.ndarray) -> Judgement:
     """Judge the multipliers of a configuration that is taken to stand still, Eq. (47)."""
     tolerance = np.full(multiplier.size, SMALLEST_DRIFT)

@@ -13,6 +13,7 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.frames import turn_about
+from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
@@ -144,6 +145,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
 
 
 def _integrator(system, result):
+    require_autonomous(system, "the shapes of modes")
     if result.method != "monodromy" and not result.exponent.size:
         raise TssError(f"modes are those of the motion, but the result's method is {result.method}")
     if result.vectors.shape[0] != 6 * system.n:

@@ -63,6 +63,7 @@ def convergence_error(
         max(0.01 * integrator.rtol, 1e-12),
         integrator.settings.length,
     )
+    finer.period_s = integrator.period_s
     return _distance(turn, finer.with_drive(integrator.drive), settled, cancelled)
 
 

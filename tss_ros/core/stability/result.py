@@ -28,6 +28,9 @@ class FloquetResult(Presented, Stored):
         w = omega / Omega.
     spin_rate_rad_s, period_s : float
         omega [rad/s] and T = 2 pi / |omega| [s]; where omega is 0, T is the orbit's period.
+    orbits : int
+        How many orbits the period has where the orbit is no circle, and forces depend on time; 0
+        where they do not.
     multiplier : ndarray, shape (6n,) or (leading,), complex
         Largest modulus first; empty if there is no configuration or the motion is chaotic, and
         then all that follows from multipliers is NaN.
@@ -136,6 +139,7 @@ class FloquetResult(Presented, Stored):
     residual: np.ndarray = field(default_factory=lambda: np.empty(0))
     exponent: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=complex))
     vectors: np.ndarray = field(default_factory=lambda: np.empty((0, 0), dtype=complex))
+    orbits: int = field(default_factory=int)
 
     @property
     def deciding(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -52,19 +53,29 @@ class Turn:
         """|x(T) - x(0)|, scaled, root of the sum of squares over all beads."""
         return float(np.linalg.norm(self.closure))
 
+    @property
+    def det_z_error(self) -> float:
+        """|det Z - 1| of the out-of-plane variations, if the motion stays in the orbit plane."""
+        ends = [to_scaled(self.integrator, state) for state in (self.start, self.end)]
+        if np.max(np.abs(np.stack(ends)[:, 2::3])) > 1e-12:
+            return math.nan
+        return float(abs(np.linalg.det(self.matrix[2::3, 2::3]) - 1.0))
+
 
 def to_scaled(integrator: Integrator, state: State) -> np.ndarray:
     """Scaled coordinates (6n,) in the turning frame of a `State` at time 0 or a whole turn."""
-    r = state.position_m
-    v = state.velocity_m_s - rigid_velocity(r, integrator.arrays.spin)
-    return integrator.scaled(v, r)
+    r, v = state.position_m, state.velocity_m_s
+    if integrator.orbit:
+        v = integrator.orbit.into_even_frame(v, r)
+    return integrator.scaled(v - rigid_velocity(r, integrator.arrays.spin), r)
 
 
 def from_scaled(integrator: Integrator, x: np.ndarray) -> State:
     """Inverse of `to_scaled`."""
     v = x[: x.size // 2].reshape(-1, 3) * integrator.settings.speed
     r = x[x.size // 2 :].reshape(-1, 3) * integrator.settings.length
-    return State(r, v + rigid_velocity(r, integrator.arrays.spin))
+    v = v + rigid_velocity(r, integrator.arrays.spin)
+    return State(r, integrator.orbit.from_even_frame(v, r) if integrator.orbit else v)
 
 
 def flow_direction(integrator: Integrator, state: State) -> np.ndarray:
