@@ -26,11 +26,13 @@ def floquet_result(
         mode=[mode] if mode else [],
         multiplier_real=doubles(result.multiplier.real),
         multiplier_imag=doubles(result.multiplier.imag),
+        exponent_real=doubles(result.exponent.real),
+        exponent_imag=doubles(result.exponent.imag),
         confirmation=[_same_fields(Confirmation, confirmation)] if confirmation else [],
         **{
             name: getattr(result, name)
             for name in FloquetResult.get_fields_and_field_types()
-            if not name.startswith(("multiplier", "confirmation", "mode"))
+            if not name.startswith(("multiplier", "exponent", "confirmation", "mode"))
         },
     )
 
