@@ -54,6 +54,12 @@ ASKED = {
         "moving_m": "np.ptp(simulate(ring(), -2.5, turns=2.0).position_m, axis=0).max()",
         "gif": "animate(motion, frames=5).save(folder / 'small.gif') is None",
     },
+    "plot_tour_of_formations": {
+        "verdicts": "[result.verdict for _, _, result in answers.values()]",
+        "swings": "swings",
+        "largest_deg": "abs(angle_deg).max()",
+        "growth": "[growth.exponent_per_s[0], growth.error_per_s[0]]",
+    },
     "plot_frozen_against_true": {
         "rates": "RATES",
         "true": "true",
@@ -217,3 +223,13 @@ def test_the_tilt_grows_as_on_paper_and_the_frozen_method_misses_it(values):
     assert {w: true[w] for w in on_paper} == pytest.approx(on_paper, rel=1e-3)
     assert values["growth"] == pytest.approx(7.87221, rel=0.01)
     assert max(values["frozen"]) < 1.001
+
+
+@of("plot_tour_of_formations")
+def test_formations_of_the_literature_are_answered_for(values):
+    assert values["verdicts"] == ["neutral", "none found", "neutral", "asymptotically stable"]
+    swings = [1.5 * k * (k + 1) + out for k in (1, 2, 3) for out in (0.0, 1.0)]
+    assert values["swings"] == pytest.approx(np.sqrt(swings), abs=1e-3)
+    # The odd libration of a rigid dumbbell at e = 0.1.
+    assert values["largest_deg"] == pytest.approx(5.956, abs=0.01)
+    assert values["growth"][0] < 3.0 * values["growth"][1]
