@@ -81,8 +81,8 @@ plt.show()
 # --------------------
 #
 # A formation that hangs has exponents instead of multipliers: its librations and their frequencies.
-# In the plane a chain of equal satellites has sqrt(3 k (k + 1) / 2), out of it the squares are larger
-# by 1 (Misra and Modi).
+# In the plane a chain of equal satellites has sqrt(3 k (k + 1) / 2), out of it the squares are
+# larger by 1 (Misra and Modi).
 
 _, chain, hanging = answers["vertical_chain_4"]
 frequency = np.abs(hanging.exponent.imag) / chain.orbit_rate_rad_s
@@ -103,8 +103,8 @@ plt.show()
 # -------------
 #
 # On an ellipse nothing rests in the orbit frame. A pair swings once an orbit, and Floquet theory
-# answers over that orbit. A spin of 3.05 turns an orbit does not repeat there: the question becomes one
-# of growth.
+# answers over that orbit. A spin of 3.05 turns an orbit does not repeat there: the question becomes
+# one of growth.
 
 pair = formation("chain", 2, damping_n_s_per_m=0.0, tether_length_m=1000.0, eccentricity=0.1)
 libration = compute_floquet(pair, 0.0, certify=False)
