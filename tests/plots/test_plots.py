@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from tss_ros import core, plots
 from tss_ros.plots.motions import tension_limit
 from tss_ros.plots.style import VERDICT_STYLES
+from tss_ros.plots.views import views
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
 IS_SATELLITE = np.array([True, True, True, False])
@@ -59,6 +60,65 @@ def test_trajectories_show_paths_and_tethers_in_the_orbit_frame():
         np.testing.assert_allclose(pairs[:, :2], position_m[step][ENDS][..., :2] / 1e3)
         assert np.isnan(pairs[:, 2]).all()
     assert legend_box_clear_of_axes(figure)
+
+
+def test_paths_about_a_tilted_axis_are_seen_along_it_and_from_the_side_with_the_axis():
+    """The ring that turns about the normal, tilted by 45 degrees about x, out and back."""
+    flat_m, half = spinning_positions(), np.sqrt(0.5)
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, half, half], [0.0, -half, half]])
+    axis = tilt @ [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(axis, [0.0, half, half])
+    figure = plots.trajectories(
+        flat_m @ tilt.T, ENDS, NAMES, IS_SATELLITE, "", None, spins_about=axis
+    )
+    along, side = figure.axes
+    for i, name in enumerate(NAMES[:3]):
+        path = lines(along)[name]
+        np.testing.assert_allclose(path, flat_m[:, i, :2] / 1e3, atol=1e-12)
+        np.testing.assert_allclose(lines(side)[name], (flat_m @ tilt.T)[:, i, [2, 1]] / 1e3)
+    assert "along the spin axis" in along.get_title() and "across" in side.get_title()
+    assert along.get_aspect() == side.get_aspect() == 1
+    assert side.get_xlabel() == "z, orbit normal [km]"
+    assert side.get_ylabel() == "y, radial, up [km]"
+    (drawn,) = [line for line in side.lines if line.get_label() == "spin axis"]
+    across, up = drawn.get_xy2()
+    assert across == pytest.approx(up) and up > 0.0
+    assert "spin axis" not in lines(along)
+    assert legend_box_clear_of_axes(figure)
+
+
+def test_a_chain_that_hangs_is_drawn_in_metres_across_and_kilometres_up():
+    position_m = np.zeros((401, 4, 3))
+    swing = np.sin(np.linspace(0.0, 12.0, 401))
+    position_m[..., 1] = np.linspace(15e3, -15e3, 4)
+    position_m[..., 0] = 30.0 * swing[:, None] * [3, 1, -1, -3]
+    position_m[..., 2] = 4.0 * swing[:, None] * [3, 1, -1, -3]
+    turns = np.linspace(0.0, 4.0, 401)
+    figure = plots.trajectories(position_m, ENDS, NAMES, IS_SATELLITE, "", turns, spins_about=None)
+    for axes, across, name in zip(figure.axes, (0, 2), "xz", strict=True):
+        path = lines(axes)[NAMES[0]]
+        last = position_m[turns >= 3.0, 0]
+        np.testing.assert_allclose(path, last[:, [across, 1]] / [1.0, 1e3])
+        assert axes.get_xlabel().startswith(name) and axes.get_xlabel().endswith("[m]")
+        assert "not to scale" in axes.get_title()
+        low, high = axes.get_xlim()
+        assert high - low < 3.0 * np.ptp(position_m[..., across])
+        assert "spin axis" not in lines(axes)
+    assert "4 orbits" in figure.get_suptitle() and "turn" not in figure.get_suptitle()
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, -3, 0.1), (1, 2, 3), (-1, 0.1, 0.2)])
+def test_views_are_right_handed_with_what_is_up_above(axis):
+    axis = np.array(axis) / np.linalg.norm(axis)
+    for view in views(axis):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+        assert all(view.names) and len(set(view.names)) == 2
+    along, side = views(axis)
+    np.testing.assert_allclose(along.axes[2], axis)
+    assert along.axes[1, 1] > 0.1 or along.axes[1, 2] > 0.1
+    np.testing.assert_allclose(side.axes[1], [0.0, 1.0, 0.0])
+    assert abs(side.axes[2] @ axis) < 1e-12
 
 
 def test_satellites_differ_in_more_than_colour():
