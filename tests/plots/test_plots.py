@@ -12,6 +12,7 @@ from tss_ros import core, plots
 from tss_ros.plots.motions import tension_limit
 from tss_ros.plots.style import VERDICT_STYLES
 from tss_ros.plots.views import views
+from tss_ros.scenarios import scenario
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
 IS_SATELLITE = np.array([True, True, True, False])
@@ -316,6 +317,52 @@ def test_a_mode_is_drawn_from_turn_to_turn_as_its_multiplier_says():
     assert "sideways" in plots.mode_shape(inside).axes[1].get_ylabel()
     fast = plots.shown_mode(turns, place, shape, 50.0, [[0, 1]], "")
     assert fast.turns[-1] == 1.0
+
+
+def test_a_mode_along_a_tilted_axis_is_out_of_the_plane_across_it():
+    axis = np.array([0.0, 0.6, 0.8])
+    place = np.tile(5e3 * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), (25, 1, 1))
+    turns = np.linspace(0.0, 1.0, 25)
+    shape = np.exp(2j * np.pi * turns)[:, None, None] * np.stack([axis, -axis])
+    mode = plots.shown_mode(turns, place, shape, 1.0, [[0, 1]], "", axis)
+    formation, curves = plots.mode_shape(mode).axes
+    assert mode.above and "plane across the axis" in curves.get_ylabel()
+    height = 0.35 * np.cos(2 * np.pi * mode.turns)
+    np.testing.assert_allclose(curves.lines[0].get_ydata(), height, atol=1e-12)
+    across = np.exp(2j * np.pi * turns)[:, None, None] * np.cross(axis, place)
+    inside = plots.shown_mode(turns, place, across, 1.0, [[0, 1]], "", axis)
+    assert not inside.above
+    drawn = plots.mode_shape(inside).axes[1]
+    assert "sideways" in drawn.get_ylabel()
+    assert np.ptp(drawn.lines[0].get_ydata()) == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("direction", "seen", "name"),
+    [("in plane", "the orbit's north", "along x"), ("out of plane", "from ahead", "along z")],
+)
+def test_a_mode_of_a_chain_that_hangs_swings_to_both_sides_of_the_vertical(direction, seen, name):
+    system = scenario.load("vertical_chain_3").build()
+    result = core.compute_floquet(system, 0.0)
+    modes = core.compute_modes(system, result)
+    which = next(
+        i for i, m in enumerate(modes) if (m.family, m.direction) == ("libration", direction)
+    )
+    motion = core.mode_motion(system, result, which)
+    mode = plots.shown_motion(motion)
+    formation, curves = plots.mode_shape(mode).axes
+    rest, *phases = [np.array(line.get_data()) for line in formation.lines]
+    np.testing.assert_allclose(rest[0][np.isfinite(rest[0])], 0.0, atol=1e-6)
+    first, last = (phases[i][0][np.isfinite(phases[i][0])] for i in (0, -1))
+    assert np.abs(first).max() > 0.3 and np.dot(first, last) < -0.9 * np.dot(first, first)
+    words = formation.texts[0].get_text()
+    assert seen in words and "orbit frame" in words and "turn" not in words
+    assert curves.get_xlabel() == "orbits [-]" and name in curves.get_ylabel()
+    # A rigid chain swings as a whole: sqrt 3 and 2 times an orbit, Misra and Modi.
+    rate = {"in plane": np.sqrt(3.0), "out of plane": 2.0}[direction]
+    swing = 0.35 * np.cos(2 * np.pi * rate * mode.turns)
+    largest = max(curves.lines, key=lambda line: np.ptp(line.get_ydata())).get_ydata()
+    np.testing.assert_allclose(np.abs(largest), np.abs(swing), atol=0.02)
 
 
 def test_a_family_is_drawn_by_stability_and_slackness_with_its_special_points():

@@ -204,7 +204,7 @@ def _plot(r, options):
             deciding_modulus=[result.deciding_modulus for result in r.stability],
         )
     options.output.mkdir(parents=True, exist_ok=True)
-    modes = {name: plots.mode_of(result) for name, result in modes.items()}
+    modes = {name: plots.mode_of(result, r.spin_axis) for name, result in modes.items()}
     figures |= {name: plots.mode_shape(mode) for name, mode in modes.items()}
     for name, figure in figures.items():
         show_progress(f"drawing {name}")

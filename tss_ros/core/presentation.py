@@ -64,6 +64,11 @@ def turn_in_words(spin_rate_ratio: float) -> str:
     return "turn" if spin_rate_ratio else "orbit"
 
 
+def a_turn(spin_rate_ratio: float) -> str:
+    """How often something happens: "a turn", or "an orbit" if the formation hangs."""
+    return "a turn" if spin_rate_ratio else "an orbit"
+
+
 def found(module: str, what: str) -> ModuleType:
     """A module outside the core, by its name.
 

@@ -20,7 +20,7 @@ from tss_ros.plots.style import (
     series_style,
     state_law,
 )
-from tss_ros.plots.views import about_normal, counted, is_narrow, views
+from tss_ros.plots.views import LEAST_WIDTH, about_normal, counted, is_narrow, views
 
 #: A shape that ends with this share of its largest deviation has settled.
 SETTLED = 1 / 3
@@ -30,8 +30,6 @@ SPIKE, FAR = 3.0, 2.0
 WITH_DRIFT = "With the drift of the whole formation"
 #: Turns at each end of a long run of which the paths are drawn in full.
 SHOWN_TURNS = 1.0
-#: Least width of a picture whose widths are not to scale, over its height.
-LEAST_WIDTH = 1e-4
 
 
 def trajectories(

@@ -13,6 +13,8 @@ from tss_ros.core.model.system import ORBIT_NORMAL
 
 #: Widths are in metres, and not to scale, where a picture is so many times higher than wide.
 NARROW = 5.0
+#: Least width of such a picture, over its height.
+LEAST_WIDTH = 1e-4
 #: Part of the vertical in the axis above which the orbit normal is up in a view along the axis.
 NEAR_VERTICAL = 0.8
 _NAMES = ("x, against the flight", "y, radial, up", "z, orbit normal")

@@ -67,6 +67,7 @@ class Scene:
     def __init__(self, stream: rr.RecordingStream, recording: Recording, root: str = "") -> None:
         self.root = root
         self.turn_s = recording.turn_s
+        self._spin_axis = recording.spin_axis
         self.has_stability, self.mode_title = False, ""
         self._stream = stream
         self._satellites = np.flatnonzero(recording.is_satellite)
@@ -108,7 +109,7 @@ class Scene:
         self._stream.log(f"{self.root}stability", document, static=True)
         shown = [result for result in results if result.mode]
         if shown:
-            self._send_mode(mode_of(shown[-1]))
+            self._send_mode(mode_of(shown[-1], self._spin_axis))
 
     def _send_mode(self, mode):
         """Show a mode in the frame that turns with the formation, from the start of the run."""

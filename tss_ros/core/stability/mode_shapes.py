@@ -174,6 +174,9 @@ class ModeMotion(Presented):
         One of `FAMILIES`.
     tether_ends : ndarray, shape (m, 2), int
         As of the system.
+    spins_about : ndarray, shape (3,), or None
+        Unit vector of the spin's axis in the orbit frame; None if the formation hangs, whose turn
+        is an orbit.
     """
 
     turns: np.ndarray
@@ -182,6 +185,7 @@ class ModeMotion(Presented):
     multiplier: complex
     family: str
     tether_ends: np.ndarray
+    spins_about: np.ndarray | None
 
     def plot(self) -> Any:
         """The mode in the turning formation, `plots.mode_shape`, a Matplotlib figure."""
@@ -239,6 +243,7 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
     return ModeMotion(
         np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]),
         complex(result.multiplier[which]), result.family[which], system.tether_ends,
+        system.spin_axis if result.spin_rate_ratio else None,
     )  # fmt: skip
 
 
