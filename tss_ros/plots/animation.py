@@ -17,7 +17,7 @@ from tss_ros.core import ModeMotion, Trajectory, TssError
 from tss_ros.core.presentation import turn_in_words
 from tss_ros.plots.mode_shapes import ShownMode, mode_pictures, shown_motion
 from tss_ros.plots.style import Figure
-from tss_ros.plots.views import LEAST_WIDTH, about_normal, is_narrow, views
+from tss_ros.plots.views import about_normal, is_narrow, views, width_limits
 
 FRAME_MS, FRAMES = 70, 90
 #: Colours of an animation's one palette, and pictures that it is chosen from.
@@ -165,10 +165,7 @@ class _MotionPictures:
         unit_m = np.array([1.0 if thin else 1e3, 1e3])
         axes.set(ylim=(-reach_km, reach_km))
         if thin:
-            across = seen[..., 0]
-            middle, half = 0.5 * (across.max() + across.min()), 0.6 * np.ptp(across)
-            half = max(half, LEAST_WIDTH * radius_m)
-            axes.set(xlim=(middle - half, middle + half))
+            axes.set(xlim=width_limits(seen))
             axes.xaxis.set_major_locator(MaxNLocator(4))
             title += ",\nwidths not to scale"
         else:

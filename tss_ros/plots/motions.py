@@ -20,7 +20,7 @@ from tss_ros.plots.style import (
     series_style,
     state_law,
 )
-from tss_ros.plots.views import LEAST_WIDTH, about_normal, counted, is_narrow, views
+from tss_ros.plots.views import about_normal, counted, is_narrow, views, width_limits
 
 #: A shape that ends with this share of its largest deviation has settled.
 SETTLED = 1 / 3
@@ -77,9 +77,9 @@ def trajectories(
     shared = any(metres) and np.array_equal(*(view.axes[1] for view, _ in shown))
     shares = (3.4 if metres[1] and not metres[0] else 1, 1)
     panels = figure.subplots(1, 2, sharey=shared, width_ratios=shares)
-    for axes, (view, seen), thin in zip(panels, shown, metres):
+    for axes, (view, seen_m), thin in zip(panels, shown, metres):
         unit_m = np.array([1.0 if thin else 1e3, 1e3])
-        seen = seen / unit_m
+        seen = seen_m / unit_m
         _draw_paths(axes, seen, satellite, bead_name, steps)
         if axes is panels[0] or not in_plane:
             _draw_tethers(axes, seen, ends)
@@ -90,7 +90,7 @@ def trajectories(
         finish(axes, f"{name} [{'m' if thin else 'km'}]", "" if hidden else f"{up} [km]")
         if thin:
             axes.xaxis.set_major_locator(MaxNLocator(3))
-            _widen(axes, LEAST_WIDTH * float(np.ptp(seen[..., 1])) * 1e3)
+            axes.set_xlim(width_limits(seen_m))
         else:
             axes.set_aspect("equal", adjustable="datalim")
         if not in_plane:
@@ -149,13 +149,6 @@ def _draw_axis(axes, direction):
             (0.0, 0.0), tuple(direction), color="0.45", linestyle="-.", linewidth=1.0, zorder=1,
             label="spin axis",
         )  # fmt: skip
-
-
-def _widen(axes, least):
-    """Make an abscissa that long at least: what is narrower is as good as a line."""
-    low, high = axes.get_xlim()
-    if high - low < least:
-        axes.set_xlim(0.5 * (low + high - least), 0.5 * (low + high + least))
 
 
 def _ends_of_run(turns, k):

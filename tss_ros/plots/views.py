@@ -13,8 +13,8 @@ from tss_ros.core.model.system import ORBIT_NORMAL
 
 #: Widths are in metres, and not to scale, where a picture is so many times higher than wide.
 NARROW = 5.0
-#: Least width of such a picture, over its height.
-LEAST_WIDTH = 1e-4
+#: Half the width of such a picture over that of what it shows, and over its height at least.
+MARGIN, LEAST_WIDTH = 0.55, 5e-5
 #: Part of the vertical in the axis above which the orbit normal is up in a view along the axis.
 NEAR_VERTICAL = 0.8
 _NAMES = ("x, against the flight", "y, radial, up", "z, orbit normal")
@@ -89,6 +89,14 @@ def is_narrow(seen: ArrayLike) -> bool:
     """Whether places (..., 2) in a picture have to be stretched to the right to be told apart."""
     width, height = np.ptp(np.reshape(seen, (-1, 2)), axis=0)
     return bool(NARROW * width < height)
+
+
+def width_limits(seen: ArrayLike) -> tuple[float, float]:
+    """Ends of the abscissa of such a picture: what is next to nothing is not made to look large."""
+    places = np.reshape(seen, (-1, 2))
+    low, high = places[:, 0].min(), places[:, 0].max()
+    half = max(MARGIN * (high - low), LEAST_WIDTH * np.ptp(places[:, 1]))
+    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
 def counted(turn: str) -> str:
