@@ -108,6 +108,19 @@ def test_a_chain_that_hangs_is_drawn_in_metres_across_and_kilometres_up():
     assert "4 orbits" in figure.get_suptitle() and "turn" not in figure.get_suptitle()
 
 
+@pytest.mark.parametrize("spins_about", [(0.0, 0.0, 1.0), (0.0, 0.6, 0.8), None])
+@pytest.mark.parametrize("gone", [slice(20, 22), slice(None)])
+def test_paths_with_steps_that_are_not_finite_are_drawn_where_they_are(spins_about, gone):
+    position_m = spinning_positions()
+    position_m[gone] = np.nan
+    figure = plots.trajectories(
+        position_m, ENDS, NAMES, IS_SATELLITE, "", None, spins_about=spins_about
+    )
+    FigureCanvasAgg(figure).draw()
+    low, high = figure.axes[1].get_xlim()
+    assert np.isfinite([low, high]).all() and low < high
+
+
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, -3, 0.1), (1, 2, 3), (-1, 0.1, 0.2)])
 def test_views_are_right_handed_with_what_is_up_above(axis):
     axis = np.array(axis) / np.linalg.norm(axis)

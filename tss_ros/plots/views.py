@@ -87,21 +87,28 @@ def about_normal(spins_about: ArrayLike) -> bool:
 
 def is_narrow(seen: ArrayLike) -> bool:
     """Whether places (..., 2) in a picture have to be stretched to the right to be told apart."""
-    width, height = np.ptp(np.reshape(seen, (-1, 2)), axis=0)
+    width, height = np.ptp(_finite(seen), axis=0)
     return bool(NARROW * width < height)
 
 
 def width_limits(seen: ArrayLike) -> tuple[float, float]:
     """Ends of the abscissa of such a picture: what is next to nothing is not made to look large."""
-    places = np.reshape(seen, (-1, 2))
+    places = _finite(seen)
     low, high = places[:, 0].min(), places[:, 0].max()
-    half = max(MARGIN * (high - low), LEAST_WIDTH * np.ptp(places[:, 1]))
+    half = max(MARGIN * (high - low), LEAST_WIDTH * np.ptp(places[:, 1])) or 1.0
     return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
 def counted(turn: str) -> str:
     """The label of an axis that counts turns, or orbits."""
     return "turns of the formation [-]" if turn == "turn" else f"{turn}s [-]"
+
+
+def _finite(seen):
+    """Places (k, 2) whose numbers are finite; the centre if there are none."""
+    places = np.reshape(seen, (-1, 2))
+    places = places[np.isfinite(places).all(axis=1)]
+    return places if places.size else np.zeros((1, 2))
 
 
 def _view(title, up, towards, otherwise=("", "")):
