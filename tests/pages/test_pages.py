@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import re
 from base64 import b64decode
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+from tss_ros.bags.commands import describe
 from tss_ros.bags.recording import read_bag
 from tss_ros.command_line import why_not_written
 from tss_ros.pages import bag, html, page
@@ -128,6 +130,8 @@ def test_a_chain_that_hangs_is_shown_in_orbits_from_the_north_and_from_ahead(tmp
             x, y = paths[bead]
             np.testing.assert_allclose(x, recording.position_m[-len(x) :, i, across])
             np.testing.assert_allclose(1e3 * y, recording.position_m[-len(y) :, i, 1])
+    told = [line for line in describe(recording).splitlines() if "simulated by" not in line]
+    assert not re.search(r"\bturns?\b", "\n".join(told)) and "0.50 orbits" in told[7]
     for name in ("shape", "tensions", "energy"):
         assert chart(parts, name)[1]["xaxis"]["title"]["text"] == "orbits [-]"
 

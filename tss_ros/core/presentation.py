@@ -66,7 +66,7 @@ def turn_in_words(spin_rate_ratio: float) -> str:
 
 def a_turn(spin_rate_ratio: float) -> str:
     """How often something happens: "a turn", or "an orbit" if the formation hangs."""
-    return "a turn" if spin_rate_ratio else "an orbit"
+    return f"{'a' if spin_rate_ratio else 'an'} {turn_in_words(spin_rate_ratio)}"
 
 
 def found(module: str, what: str) -> ModuleType:

@@ -14,7 +14,7 @@ from tss_ros.core.errors import TssError
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
-from tss_ros.core.presentation import Presented, found
+from tss_ros.core.presentation import Presented, a_turn, found
 from tss_ros.core.stability.mean_model import mean_modes, wave_numbers
 from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, stays_in_plane
 from tss_ros.core.stability.result import FloquetResult
@@ -50,6 +50,8 @@ class Mode(Presented):
         Displacements at the start of the turn, the largest of size 1. They oscillate as the real
         part of `shape` times exp(2 pi i frequency t / T), and grow by the modulus of the
         multiplier a turn.
+    hangs : bool
+        Whether the formation hangs, whose turn is an orbit.
     """
 
     multiplier: complex
@@ -58,6 +60,7 @@ class Mode(Presented):
     frequency: float
     wave_number: int
     shape: np.ndarray
+    hangs: bool = False
 
     @property
     def in_words(self) -> str:
@@ -66,7 +69,7 @@ class Mode(Presented):
         where = f"{self.direction.replace(' ', '-')} " if either else ""
         known = [f"k = {self.wave_number}"] if self.wave_number >= 0 else []
         if not math.isnan(self.frequency):
-            known.append(f"{self.frequency:.3f} a turn")
+            known.append(f"{self.frequency:.3f} {a_turn(not self.hangs)}")
         return f"{where}{self.family}" + (f" ({', '.join(known)})" if known else "")
 
     def _headline(self):
@@ -77,7 +80,7 @@ class Mode(Presented):
             "family": self.family,
             "direction": self.direction,
             "multiplier": f"{self.multiplier:.8g}, modulus {abs(self.multiplier):.8f}",
-            "frequency": f"{self.frequency:.6g} a turn",
+            "frequency": f"{self.frequency:.6g} {a_turn(not self.hangs)}",
             "wave number": self.wave_number if self.wave_number >= 0 else "-",
         }
 
@@ -133,6 +136,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
             float(frequency[k]),
             int(wave_number[k]),
             position[:, :, k] * _to_size_one(position[:, :, k]),
+            not result.spin_rate_ratio,
         )
         for k in range(rho.size)
     ]
@@ -193,7 +197,8 @@ class ModeMotion(Presented):
         return plots.mode_shape(plots.shown_motion(self))
 
     def _headline(self):
-        return f"{self.family} along a turn: |ρ| = {abs(self.multiplier):.6f}"
+        along = a_turn(self.spins_about is not None)
+        return f"{self.family} along {along}: |ρ| = {abs(self.multiplier):.6f}"
 
     def _facts(self):
         return {
