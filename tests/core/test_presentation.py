@@ -1,6 +1,7 @@
 """Results say what they are: in a line, in a table of a notebook, in a file."""
 
 import dataclasses
+import re
 import sys
 import xml.etree.ElementTree as ElementTree
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from tss_ros import core
+from tss_ros.scenarios import scenario
 
 RING = core.ring()
 
@@ -117,6 +119,20 @@ def test_tables_are_data_frames(results):
     assert family.to_pandas()["parameter"].tolist() == family.columns()["parameter"]
     assert curve.to_pandas()["second"].tolist() == curve.columns()["second"]
     np.testing.assert_array_equal(confirmed.to_pandas()["history"], confirmed.history)
+
+
+def test_what_is_said_of_a_formation_that_hangs_counts_orbits(tmp_path):
+    system = scenario.load("vertical_chain_2").build()
+    result = core.compute_floquet(system, 0.0)
+    motion = core.mode_motion(system, result, result.deciding)
+    confirmed = core.confirm(system, 0.0, turns=2)
+    for thing in (result, confirmed, motion, *core.compute_modes(system, result)):
+        said = re.sub(r"turns made|taut", "", f"{thing!r} {thing._repr_html_()}")
+        assert "orbit" in said and not re.search(r"\bturns?\b", said), said
+    assert confirmed.plot().axes[0].get_xlabel() == "orbits [-]"
+    assert "of the turns against the stars" in dataclasses.replace(confirmed, turned=0.5).reason
+    confirmed.save(tmp_path / "confirmed.npz")
+    assert core.Confirmation.load(tmp_path / "confirmed.npz").hangs
 
 
 def test_results_are_drawn(results):

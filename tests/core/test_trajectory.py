@@ -1,9 +1,11 @@
 """A simulated motion: the states of the propagator, what follows from them, tables of them."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tss_ros import core
 from tss_ros.bags.commands import tables
@@ -45,6 +47,35 @@ def test_an_undisturbed_ring_stands_still_in_the_frame_that_turns():
     moved = np.linalg.norm(motion.turning_m - motion.turning_m[0], axis=-1).max()
     assert moved < 1e-2 * motion.reference_radius_m.min()
     np.testing.assert_array_equal(motion.turning_m[0], motion.position_m[0])
+
+
+def turning(axis, ratio):
+    """A stiff ring about an axis, whatever the forces: turned by SciPy, not by the package."""
+    unit = np.array(axis) / np.linalg.norm(axis)
+    motion = core.simulate(RING, ratio, turns=2.0)
+    angle = 2.0 * np.pi * np.sign(ratio) * motion.turns
+    place_m = [Rotation.from_rotvec(x * unit).apply(motion.position_m[0]) for x in angle]
+    system = dataclasses.replace(RING, spin_axis=unit)
+    return dataclasses.replace(motion, system=system, position_m=np.array(place_m))
+
+
+@pytest.mark.parametrize(("axis", "ratio"), [((0, 1, 1), 3.0), ((0.3, -2, 0.5), -2.5)])
+def test_a_stiff_ring_about_any_axis_stands_still_in_the_frame_that_turns(axis, ratio):
+    motion = turning(axis, ratio)
+    np.testing.assert_allclose(motion.turning_m - motion.position_m[0], 0.0, atol=1e-8)
+    assert np.ptp(motion.position_m, axis=0).max() > 1e3
+    np.testing.assert_array_equal(motion.spins_about, motion.system.spin_axis)
+
+
+def test_a_chain_that_hangs_is_counted_in_orbits_and_its_frame_is_the_orbit_frame():
+    system = scenario.load("vertical_chain_2").build()
+    motion = core.simulate(system, 0.0, turns=0.5, disturbance_m=10.0)
+    assert motion.turning_m.tolist() == motion.position_m.tolist()
+    assert motion.spins_about is None
+    assert motion.turns[-1] == pytest.approx(motion.t_s[-1] * system.orbit_rate_rad_s / 2 / np.pi)
+    assert "0.5 orbits" in repr(motion) and "turn" not in repr(motion)
+    for figure in ("deviation", "tethers", "balance"):
+        assert motion.plot(figure).axes[-1].get_xlabel() == "orbits [-]"
 
 
 def test_an_undamped_motion_keeps_its_energy():

@@ -1,5 +1,6 @@
 """Pages hold all that they need, and their charts show what is in bags and sweeps."""
 
+import dataclasses
 import json
 import re
 from base64 import b64decode
@@ -8,6 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from tss_ros.bags.commands import describe
 from tss_ros.bags.recording import read_bag
 from tss_ros.command_line import why_not_written
 from tss_ros.pages import bag, html, page
@@ -68,15 +70,70 @@ def test_a_page_of_a_bag_needs_nothing_else_and_shows_the_motion(folder, tmp_pat
     assert facts["tether law"].startswith("kelvin_voigt")
 
 
+def chart(parts, name):
+    """A chart among parts of a page: its curves by name, the last of each, and its layout."""
+    (drawn,) = [part for part in parts if f'id="{name}"' in part]
+    text = drawn.partition("Plotly.newPlot(")[2].partition(",")[2].lstrip()
+    data, end = json.JSONDecoder().raw_decode(text)
+    layout, _ = json.JSONDecoder().raw_decode(text[end:].lstrip(", \n"))
+    for curve in data:
+        for axis in "xy":
+            if isinstance(curve[axis], dict):
+                curve[axis] = np.frombuffer(b64decode(curve[axis]["bdata"]))
+    return {curve["name"]: (np.array(curve["x"]), np.array(curve["y"])) for curve in data}, layout
+
+
 def test_paths_in_the_turning_frame_stand_still_where_the_shape_holds(folder):
     recording = read_bag(folder / "bag")
-    (drawn,) = [part for part in bag._paths(recording) if 'id="turning_frame"' in part]
-    text = re.search(r'Plotly\.newPlot\(\s*"turning_frame",\s*(\[.*?\]),\s*\{"', drawn, re.S)[1]
-    paths = {curve["name"]: curve for curve in json.loads(text)}  # their last turns
+    paths, _ = chart(bag._paths(recording), "turning_frame")  # their last turns
     for name in recording.bead_name:
-        x, y = (np.frombuffer(b64decode(paths[name][axis]["bdata"])) for axis in "xy")
+        x, y = paths[name]
         np.testing.assert_allclose(np.hypot(x, y), 5.77, atol=0.02)
         assert np.ptp(x) < 0.1 and np.ptp(y) < 0.1
+
+
+def test_paths_about_a_tilted_axis_are_shown_along_it_and_from_the_side(folder):
+    """The recorded ring, turned by 45 degrees about x."""
+    recording, half = read_bag(folder / "bag"), np.sqrt(0.5)
+    flat = recording.only(np.arange(0, len(recording.step), 4))  # so few that all are drawn
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, half, half], [0.0, -half, half]])
+    tilted = dataclasses.replace(
+        flat, spin_axis=tilt @ [0.0, 0.0, 1.0], position_m=flat.position_m @ tilt.T
+    )
+    parts = list(bag._paths(tilted))
+    last = tilted.turns >= tilted.turns[-1] - 1.0
+    along, _ = chart(parts, "orbit_frame")
+    side, layout = chart(parts, "side")
+    turning, _ = chart(parts, "turning_frame")
+    assert layout["xaxis"]["title"]["text"] == "z, orbit normal [km]"
+    for i, name in enumerate(flat.bead_name):
+        place_km = tilted.position_m[last, i] / 1e3
+        np.testing.assert_allclose(along[name], flat.position_m[last, i, :2].T / 1e3, atol=1e-9)
+        np.testing.assert_allclose(side[name], place_km[:, [2, 1]].T)
+        assert max(map(np.ptp, turning[name])) < 0.1
+    x, y = side["spin axis"]
+    np.testing.assert_allclose(x, y)
+
+
+def test_a_chain_that_hangs_is_shown_in_orbits_from_the_north_and_from_ahead(tmp_path):
+    words = ["vertical_chain_2", "--turns", "0.5", "--disturbance-m", "30"]
+    assert straight.main([*words, "--output", str(tmp_path / "bag")]) == 0
+    assert page.main([str(tmp_path / "bag"), "--output", str(tmp_path / "bag.html")]) == 0
+    made, recording = Page(tmp_path / "bag.html"), read_bag(tmp_path / "bag")
+    assert {"orbit_frame", "side"} <= set(made.ids) and "turning_frame" not in made.ids
+    parts = list(bag.parts(recording))
+    for name, across in (("orbit_frame", 0), ("side", 2)):
+        paths, layout = chart(parts, name)
+        assert "[m]" in layout["xaxis"]["title"]["text"]
+        assert "not to scale" in layout["title"]["text"] and "scaleanchor" not in layout["yaxis"]
+        for i, bead in enumerate(recording.bead_name):
+            x, y = paths[bead]
+            np.testing.assert_allclose(x, recording.position_m[-len(x) :, i, across])
+            np.testing.assert_allclose(1e3 * y, recording.position_m[-len(y) :, i, 1])
+    told = [line for line in describe(recording).splitlines() if "simulated by" not in line]
+    assert not re.search(r"\bturns?\b", "\n".join(told)) and "0.50 orbits" in told[7]
+    for name in ("shape", "tensions", "energy"):
+        assert chart(parts, name)[1]["xaxis"]["title"]["text"] == "orbits [-]"
 
 
 def test_a_page_of_a_sweep_has_verdicts_and_critical_rates_with_their_cause(folder, tmp_path):

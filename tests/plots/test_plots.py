@@ -11,6 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from tss_ros import core, plots
 from tss_ros.plots.motions import tension_limit
 from tss_ros.plots.style import VERDICT_STYLES
+from tss_ros.plots.views import views
+from tss_ros.scenarios import scenario
 
 NAMES = ("satellite_1", "satellite_2", "satellite_3", "tether_1_bead_1")
 IS_SATELLITE = np.array([True, True, True, False])
@@ -59,6 +61,78 @@ def test_trajectories_show_paths_and_tethers_in_the_orbit_frame():
         np.testing.assert_allclose(pairs[:, :2], position_m[step][ENDS][..., :2] / 1e3)
         assert np.isnan(pairs[:, 2]).all()
     assert legend_box_clear_of_axes(figure)
+
+
+def test_paths_about_a_tilted_axis_are_seen_along_it_and_from_the_side_with_the_axis():
+    """The ring that turns about the normal, tilted by 45 degrees about x, out and back."""
+    flat_m, half = spinning_positions(), np.sqrt(0.5)
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, half, half], [0.0, -half, half]])
+    axis = tilt @ [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(axis, [0.0, half, half])
+    figure = plots.trajectories(
+        flat_m @ tilt.T, ENDS, NAMES, IS_SATELLITE, "", None, spins_about=axis
+    )
+    along, side = figure.axes
+    for i, name in enumerate(NAMES[:3]):
+        path = lines(along)[name]
+        np.testing.assert_allclose(path, flat_m[:, i, :2] / 1e3, atol=1e-12)
+        np.testing.assert_allclose(lines(side)[name], (flat_m @ tilt.T)[:, i, [2, 1]] / 1e3)
+    assert "along the spin axis" in along.get_title() and "across" in side.get_title()
+    assert along.get_aspect() == side.get_aspect() == 1
+    assert side.get_xlabel() == "z, orbit normal [km]"
+    assert side.get_ylabel() == "y, radial, up [km]"
+    (drawn,) = [line for line in side.lines if line.get_label() == "spin axis"]
+    across, up = drawn.get_xy2()
+    assert across == pytest.approx(up) and up > 0.0
+    assert "spin axis" not in lines(along)
+    assert legend_box_clear_of_axes(figure)
+
+
+def test_a_chain_that_hangs_is_drawn_in_metres_across_and_kilometres_up():
+    position_m = np.zeros((401, 4, 3))
+    swing = np.sin(np.linspace(0.0, 12.0, 401))
+    position_m[..., 1] = np.linspace(15e3, -15e3, 4)
+    position_m[..., 0] = 30.0 * swing[:, None] * [3, 1, -1, -3]
+    position_m[..., 2] = 4.0 * swing[:, None] * [3, 1, -1, -3]
+    turns = np.linspace(0.0, 4.0, 401)
+    figure = plots.trajectories(position_m, ENDS, NAMES, IS_SATELLITE, "", turns, spins_about=None)
+    for axes, across, name in zip(figure.axes, (0, 2), "xz", strict=True):
+        path = lines(axes)[NAMES[0]]
+        last = position_m[turns >= 3.0, 0]
+        np.testing.assert_allclose(path, last[:, [across, 1]] / [1.0, 1e3])
+        assert axes.get_xlabel().startswith(name) and axes.get_xlabel().endswith("[m]")
+        assert "not to scale" in axes.get_title()
+        low, high = axes.get_xlim()
+        assert high - low < 3.0 * np.ptp(position_m[..., across])
+        assert "spin axis" not in lines(axes)
+    assert "4 orbits" in figure.get_suptitle() and "turn" not in figure.get_suptitle()
+
+
+@pytest.mark.parametrize("spins_about", [(0.0, 0.0, 1.0), (0.0, 0.6, 0.8), None])
+@pytest.mark.parametrize("gone", [slice(20, 22), slice(None)])
+def test_paths_with_steps_that_are_not_finite_are_drawn_where_they_are(spins_about, gone):
+    position_m = spinning_positions()
+    position_m[gone] = np.nan
+    figure = plots.trajectories(
+        position_m, ENDS, NAMES, IS_SATELLITE, "", None, spins_about=spins_about
+    )
+    FigureCanvasAgg(figure).draw()
+    low, high = figure.axes[1].get_xlim()
+    assert np.isfinite([low, high]).all() and low < high
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, -3, 0.1), (1, 2, 3), (-1, 0.1, 0.2)])
+def test_views_are_right_handed_with_what_is_up_above(axis):
+    axis = np.array(axis) / np.linalg.norm(axis)
+    for view in views(axis):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+        assert all(view.names) and len(set(view.names)) == 2
+    along, side = views(axis)
+    np.testing.assert_allclose(along.axes[2], axis)
+    assert along.axes[1, 1] > 0.1 or along.axes[1, 2] > 0.1
+    np.testing.assert_allclose(side.axes[1], [0.0, 1.0, 0.0])
+    assert abs(side.axes[2] @ axis) < 1e-12
 
 
 def test_satellites_differ_in_more_than_colour():
@@ -256,6 +330,52 @@ def test_a_mode_is_drawn_from_turn_to_turn_as_its_multiplier_says():
     assert "sideways" in plots.mode_shape(inside).axes[1].get_ylabel()
     fast = plots.shown_mode(turns, place, shape, 50.0, [[0, 1]], "")
     assert fast.turns[-1] == 1.0
+
+
+def test_a_mode_along_a_tilted_axis_is_out_of_the_plane_across_it():
+    axis = np.array([0.0, 0.6, 0.8])
+    place = np.tile(5e3 * np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), (25, 1, 1))
+    turns = np.linspace(0.0, 1.0, 25)
+    shape = np.exp(2j * np.pi * turns)[:, None, None] * np.stack([axis, -axis])
+    mode = plots.shown_mode(turns, place, shape, 1.0, [[0, 1]], "", axis)
+    formation, curves = plots.mode_shape(mode).axes
+    assert mode.above and "plane across the axis" in curves.get_ylabel()
+    height = 0.35 * np.cos(2 * np.pi * mode.turns)
+    np.testing.assert_allclose(curves.lines[0].get_ydata(), height, atol=1e-12)
+    across = np.exp(2j * np.pi * turns)[:, None, None] * np.cross(axis, place)
+    inside = plots.shown_mode(turns, place, across, 1.0, [[0, 1]], "", axis)
+    assert not inside.above
+    drawn = plots.mode_shape(inside).axes[1]
+    assert "sideways" in drawn.get_ylabel()
+    assert np.ptp(drawn.lines[0].get_ydata()) == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("direction", "seen", "name"),
+    [("in plane", "the orbit's north", "along x"), ("out of plane", "from ahead", "along z")],
+)
+def test_a_mode_of_a_chain_that_hangs_swings_to_both_sides_of_the_vertical(direction, seen, name):
+    system = scenario.load("vertical_chain_3").build()
+    result = core.compute_floquet(system, 0.0)
+    modes = core.compute_modes(system, result)
+    which = next(
+        i for i, m in enumerate(modes) if (m.family, m.direction) == ("libration", direction)
+    )
+    motion = core.mode_motion(system, result, which)
+    mode = plots.shown_motion(motion)
+    formation, curves = plots.mode_shape(mode).axes
+    rest, *phases = [np.array(line.get_data()) for line in formation.lines]
+    np.testing.assert_allclose(rest[0][np.isfinite(rest[0])], 0.0, atol=1e-6)
+    first, last = (phases[i][0][np.isfinite(phases[i][0])] for i in (0, -1))
+    assert np.abs(first).max() > 0.3 and np.dot(first, last) < -0.9 * np.dot(first, first)
+    words = formation.texts[0].get_text()
+    assert seen in words and "orbit frame" in words and "turn" not in words
+    assert curves.get_xlabel() == "orbits [-]" and name in curves.get_ylabel()
+    # A rigid chain swings as a whole: sqrt 3 and 2 times an orbit, Misra and Modi.
+    rate = {"in plane": np.sqrt(3.0), "out of plane": 2.0}[direction]
+    swing = 0.35 * np.cos(2 * np.pi * rate * mode.turns)
+    largest = max(curves.lines, key=lambda line: np.ptp(line.get_ydata())).get_ydata()
+    np.testing.assert_allclose(np.abs(largest), np.abs(swing), atol=0.02)
 
 
 def test_a_family_is_drawn_by_stability_and_slackness_with_its_special_points():

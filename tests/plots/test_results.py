@@ -1,12 +1,16 @@
 """Figures of results show their numbers, leave gaps where no motion exists, and move."""
 
+import dataclasses
 import io
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from tss_ros import core, plots
+from tss_ros.plots.animation import _MotionPictures
+from tss_ros.scenarios import scenario
 
 RING = core.ring()
 RATES = (-2.5, -2.2, -2.1, -2.0, -1.9, -2.4)
@@ -134,6 +138,43 @@ def test_the_mode_of_a_multiplier_moves(results):
     frames = list(pictures(plots.animate(motion)))
     assert len(frames) > 10
     assert np.abs(frames[1] - frames[0]).max() > 100
+
+
+def test_a_motion_about_a_tilted_axis_is_animated_along_it_and_from_the_side():
+    """A stiff ring, turned by SciPy: it stands still in the frame that turns with the spin."""
+    axis = np.array([0.0, 3.0, 4.0]) / 5.0
+    motion = core.simulate(RING, -2.5, turns=1.0)
+    turned = Rotation.from_rotvec(-2.0 * np.pi * motion.turns[:, None] * axis)
+    tilt = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0]
+    start_m = tilt.apply(motion.position_m[0])
+    place_m = np.array([turn.apply(start_m) for turn in turned])
+    system = dataclasses.replace(RING, spin_axis=axis)
+    motion = dataclasses.replace(motion, system=system, position_m=place_m)
+    shown = _MotionPictures(motion, "tilted")
+    (turning_km, *_), (orbit_km, *_) = shown.views
+    np.testing.assert_allclose(np.ptp(turning_km, axis=0), 0.0, atol=1e-9)
+    distance_km = np.linalg.norm(start_m, axis=1) / 1e3
+    np.testing.assert_allclose(np.linalg.norm(turning_km[0], axis=1), distance_km)
+    np.testing.assert_allclose(orbit_km, place_m[..., [2, 1]] / 1e3, atol=1e-12)
+    along, side = shown.figure.axes[:2]
+    assert side.get_xlabel() == "z, orbit normal [km]"
+    assert len(side.lines) == len(along.lines) + 1  # the axis
+    assert plots.animate(motion, frames=2).frames == 2
+
+
+def test_a_chain_that_hangs_is_animated_from_the_north_and_from_ahead_in_orbits():
+    system = scenario.load("vertical_chain_2").build()
+    motion = core.simulate(system, 0.0, turns=0.5, disturbance_m=30.0)
+    shown = _MotionPictures(motion, "hanging")
+    shown.draw(20)
+    north, ahead = shown.figure.axes[:2]
+    for axes, (seen, *_), across in zip((north, ahead), shown.views, (0, 2)):
+        np.testing.assert_allclose(seen, motion.position_m[..., [across, 1]] / [1.0, 1e3])
+        low, high = axes.get_xlim()
+        assert low < seen[..., 0].min() and seen[..., 0].max() < high
+        assert "[m]" in axes.get_xlabel() and "not to scale" in axes.get_title()
+    assert shown.heading.get_text() == "hanging: orbit 0.2"
+    assert shown.figure.axes[2].get_xlabel() == "orbits [-]"
 
 
 def test_what_cannot_be_animated_is_named():

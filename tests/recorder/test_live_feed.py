@@ -17,7 +17,11 @@ class Viewer:
     """Stands in for the Rerun viewer and notes what it gets."""
 
     def __init__(self):
-        self.runs, self.stability, self.closed = [[]], (), False
+        self.runs, self.stability, self.closed, self.earth = [[]], (), False, None
+
+    def begun(self, earth):
+        self.earth = earth
+        return self
 
     def begin(self):
         self.runs.append([])
@@ -47,12 +51,12 @@ class Logger:
 def fed(monkeypatch):
     """A viewer and a function that feeds it some steps of a formation that stands still."""
     viewer = Viewer()
-    monkeypatch.setattr(review, "LiveReview", lambda: viewer)
+    monkeypatch.setattr(review, "LiveReview", viewer.begun)
     system = ring()
     state = initial_state(system, -2.5)
     tethers = tether_state(system, state.position_m, state.velocity_m_s)
     make = StepMessages(system, tethers[1])
-    feed = live_feed.LiveFeed(Logger())
+    feed = live_feed.LiveFeed(Logger(), earth=True)
 
     def describe():
         simulation = {"scenario": "three_star", "publish_period_s": 1.0}
@@ -72,7 +76,7 @@ def fed(monkeypatch):
     feed.start()
     yield viewer, feed, describe, publish, (system, state, tethers)
     feed.stop()
-    assert viewer.closed
+    assert viewer.closed and viewer.earth
 
 
 def test_viewer_gets_whole_steps_in_order(fed):
@@ -123,7 +127,7 @@ def test_stability_results_are_shown_when_they_come(fed):
 
 
 def test_recording_goes_on_without_a_viewer(monkeypatch):
-    def no_screen():
+    def no_screen(earth):
         raise TssError("no screen")
 
     monkeypatch.setattr(review, "LiveReview", no_screen)

@@ -139,3 +139,11 @@ def test_existing_output_is_left_alone(start, tmp_path):
     assert line.startswith("logger_node: output 'bag' exists already")
     assert [path.name for path in bag.iterdir()] == ["bag_0.mcap"]
     assert (bag / "bag_0.mcap").read_text() == "precious"
+
+
+def test_the_earth_without_a_viewer_to_show_it_in_is_refused(start, tmp_path):
+    process = start("logger_node", output="bag", earth=True)
+    assert process.wait(ros_harness.START_S) == 1
+    (line,) = process.stderr.splitlines()
+    assert line.startswith("logger_node: earth is true, but rerun is false")
+    assert not (tmp_path / "bag").exists()

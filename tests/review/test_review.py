@@ -63,6 +63,99 @@ def recording():
     )
 
 
+#: Where the ring about [0, 3, 4] / 5 has what it has about z: up is [0, 4, -3] / 5, seen along it.
+TILT = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, 0.6], [0.0, -0.6, 0.8]])
+
+
+def tilted(recording):
+    """The run about another axis."""
+    return dataclasses.replace(
+        recording, position_m=recording.position_m @ TILT.T, spin_axis=TILT[:, 2]
+    )
+
+
+def eye_of(path):
+    """Position and upward direction of the eye that sees the formation."""
+    (layout,) = RrdReader(path).blueprints()
+    eyes = {}
+    for chunk in RrdReader(path).stream(store=layout).to_chunks():
+        batch = chunk.to_record_batch()
+        columns = dict(zip(batch.schema.names, batch.columns))
+        if "EyeControls3D:position" in columns:
+            eyes[str(chunk.entity_path)] = tuple(
+                np.array(columns[f"EyeControls3D:{name}"].to_pylist()).ravel()
+                for name in ("position", "eye_up")
+            )
+    (eye,) = eyes.values()
+    return eye
+
+
+def test_the_eye_looks_along_the_axis_of_the_spin_which_an_arrow_shows(recording, tmp_path):
+    review.save(recording, tmp_path / "flat.rrd", "made up")
+    review.save(tilted(recording), tmp_path / "tilted.rrd", "made up")
+    for name, turn in (("flat", np.eye(3)), ("tilted", TILT)):
+        position, up = eye_of(tmp_path / f"{name}.rrd")
+        # Twice as far along the axis as below it, and the axis's own vertical is up.
+        np.testing.assert_allclose(up, turn[:, 1], atol=1e-6)
+        np.testing.assert_allclose(
+            position, turn @ [0.0, -0.6 * 7.2e3, 2.2 * 7.2e3], rtol=1e-5, atol=1e-2
+        )
+        _, static = read_back(tmp_path / f"{name}.rrd")
+        arrows = static["/formation/axes"]
+        labels = ["up", "flight", *["spin axis"] * (name == "tilted")]
+        assert arrows["Arrows3D:labels"] == [labels]
+        expected = 1.2e3 * np.array([[0, 1, 0], [-1, 0, 0], TILT[:, 2]])[: len(labels)]
+        np.testing.assert_allclose(arrows["Arrows3D:vectors"][0], expected, atol=1e-3)
+        scale = np.array(static["/formation/scale"]["LineStrips3D:strips"][0])
+        np.testing.assert_allclose(scale[..., 0], 1.15 * 7.2e3, rtol=1e-5)
+        np.testing.assert_allclose(scale @ turn[:, 2], 0.0, atol=1e-2)
+
+
+def test_a_formation_that_hangs_is_seen_from_the_north_with_the_vertical_up(recording, tmp_path):
+    hanging = dataclasses.replace(recording, spin_rate_ratio=0.0)
+    review.save(hanging, tmp_path / "x.rrd", "made up")
+    position, up = eye_of(tmp_path / "x.rrd")
+    assert position[2] > 2.0 * abs(position[1]) and position[0] == 0.0
+    np.testing.assert_array_equal(up, [0.0, 1.0, 0.0])
+    temporal, static = read_back(tmp_path / "x.rrd")
+    assert static["/formation/axes"]["Arrows3D:labels"] == [["up", "flight"]]
+    orbits = np.array(temporal["/plots/shape"]["milliturns"]) / 1000
+    np.testing.assert_allclose(orbits, hanging.t_s * 1e-3 / (2 * np.pi), atol=5e-4)
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.2])
+def test_the_earth_is_where_it_is_and_as_large_as_it_is(recording, tmp_path, eccentricity):
+    """Kepler's equation, solved here by fixed-point steps, says how far below its centre is."""
+    perigee_m, mu = 7378e3, 3.986e14
+    axis_m = perigee_m / (1.0 - eccentricity)
+    rate = np.sqrt(mu / axis_m**3)
+    of = dataclasses.replace(
+        recording, law_parameters={"eccentricity": eccentricity}, orbit_rate_rad_s=rate
+    )
+    review.save(of, tmp_path / "without.rrd", "made up")
+    assert "/formation/earth" not in read_back(tmp_path / "without.rrd")[1]
+    review.save(of, tmp_path / "x.rrd", "made up", earth=True)
+    temporal, static = read_back(tmp_path / "x.rrd")
+    anomaly = mean = rate * of.t_s
+    for _ in range(60):
+        anomaly = mean + eccentricity * np.sin(anomaly)
+    radius_m = axis_m * (1.0 - eccentricity * np.cos(anomaly))
+    assert (np.ptp(radius_m) > 5e5) == (eccentricity > 0.0)
+    earth = temporal["/formation/earth"]
+    place = np.array(earth["Transform3D:translation"]).reshape(-1, 3)
+    np.testing.assert_allclose(place[:, 1], -radius_m, rtol=1e-6)
+    np.testing.assert_array_equal(place[:, [0, 2]], 0.0)
+    mesh = static["/formation/earth"]
+    vertices = np.array(mesh["Mesh3D:vertex_positions"][0])
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 6378e3, rtol=1e-6)
+    corners = vertices[np.array(mesh["Mesh3D:triangle_indices"][0])]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ij,ij->i", outward, corners.mean(axis=1)) > -1e6).all()
+    # The volume within: none of the surface is missing.
+    volume = np.einsum("ij,ij->", outward, corners[:, 0]) / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 6378e3**3, rel=2e-3)
+
+
 def read_back(path):
     """What a Rerun file holds: {entity path: {component: values per step}}, and statics alike."""
     temporal, static = {}, {}

@@ -19,6 +19,7 @@ from tss_ros.command_line import Parser, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
 from tss_ros.core.model.laws.orbit import ELEMENTS
 from tss_ros.core.model.system import ORBIT_NORMAL
+from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.core.trajectory import FIGURES, TABLES
 from tss_ros.scenarios.scenario import read_text
@@ -72,7 +73,8 @@ def describe(recording: Recording) -> str:
         + (f", topics {r.prefix}*" if r.prefix != "/" else ""),
         f"steps         {len(r.step)}, {r.step[0]} to {r.step[-1]}, {gaps} missing in between; "
         f"messages lost: {lost}",
-        f"time          {r.t_s[0]:g} to {r.t_s[-1]:g} s, {turns[0]:.2f} to {turns[-1]:.2f} turns",
+        f"time          {r.t_s[0]:g} to {r.t_s[-1]:g} s, {turns[0]:.2f} to {turns[-1]:.2f} "
+        f"{turn_in_words(r.spin_rate_ratio)}s",
     ]
     if not (finite := r.is_finite).all():
         lines.append(
@@ -117,14 +119,14 @@ def _spin(r):
 
 def _of_motion(r):
     """Lines about steps whose numbers are all finite."""
-    turns, slack = r.turns, ~r.taut
+    turns, slack, turn = r.turns, ~r.taut, turn_in_words(r.spin_rate_ratio)
     from_centre = np.abs(r.deviation_from_centre).max(axis=1)
     worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
     energy, centre_m = r.energy_j, r.centre_of_mass_m
     return [
-        f"deviation     at most {np.abs(r.deviation).max():.3g} ({r.bead_name[worst[1]]}, turn "
+        f"deviation     at most {np.abs(r.deviation).max():.3g} ({r.bead_name[worst[1]]}, {turn} "
         f"{turns[worst[0]]:.2f}); from the centre of mass {from_centre.max():.3g}, "
-        f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last turn",
+        f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last {turn}",
         f"tethers       {r.length_m.min():.2f} to {r.length_m.max():.2f} m, "
         f"{r.tension_n.min():.3g} to {r.tension_n.max():.3g} N; slack in "
         f"{slack.any(axis=1).mean():.1%} of the steps",
@@ -204,7 +206,7 @@ def _plot(r, options):
             deciding_modulus=[result.deciding_modulus for result in r.stability],
         )
     options.output.mkdir(parents=True, exist_ok=True)
-    modes = {name: plots.mode_of(result) for name, result in modes.items()}
+    modes = {name: plots.mode_of(result, r.spin_axis) for name, result in modes.items()}
     figures |= {name: plots.mode_shape(mode) for name, mode in modes.items()}
     for name, figure in figures.items():
         show_progress(f"drawing {name}")

@@ -59,6 +59,16 @@ def html_table(title: str, rows: Iterable[Iterable[object]], head: Iterable[str]
     return f"<div><b>{escape(title)}</b><table>{''.join(lines)}</table></div>"
 
 
+def turn_in_words(spin_rate_ratio: float) -> str:
+    """What a formation's turns are called: "turn", or "orbit" if it hangs."""
+    return "turn" if spin_rate_ratio else "orbit"
+
+
+def a_turn(spin_rate_ratio: float) -> str:
+    """How often something happens: "a turn", or "an orbit" if the formation hangs."""
+    return f"{'a' if spin_rate_ratio else 'an'} {turn_in_words(spin_rate_ratio)}"
+
+
 def found(module: str, what: str) -> ModuleType:
     """A module outside the core, by its name.
 

@@ -13,9 +13,10 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
+from tss_ros.core.model.frames import as_turned
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
-from tss_ros.core.presentation import Presented, data_frame, found
+from tss_ros.core.presentation import Presented, data_frame, found, turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.core.stored import Stored
 
@@ -44,8 +45,22 @@ class SampledMotion(Presented):
 
     @property
     def turns(self) -> np.ndarray:
-        """Simulation time in spin turns [-], shape (k,)."""
+        """Simulation time in spin turns [-], or in orbits if the formation hangs, shape (k,)."""
         return self.t_s / self.turn_s
+
+    @property
+    def spins_about(self) -> np.ndarray | None:
+        """Unit vector of the spin's axis in the orbit frame, (3,); None if the formation hangs."""
+        return self._described.spin_axis if self.spin_rate_ratio else None
+
+    @property
+    def turning_m(self) -> np.ndarray:
+        """Positions in the frame that turns with the spin [m], (k, n, 3); they agree at time 0.
+
+        It turns about the formation's axis. That of a formation that hangs is the orbit frame.
+        """
+        angle = 2.0 * math.pi * np.sign(self.spin_rate_ratio) * self.turns
+        return as_turned(self.position_m, self._described.spin_axis, angle)
 
     @property
     def pushing_share(self) -> float:
@@ -152,22 +167,22 @@ class SampledMotion(Presented):
         plots, of = found("tss_ros.plots", "plot"), self._described
         law = law_in_words(of.tether_law, self.pushing_share) if law is None else law
         if figure == "trajectories":
-            return plots.trajectories(
-                self.position_m, of.tether_ends, of.bead_name, of.is_satellite, law, self.turns
-            )
+            parts = of.tether_ends, of.bead_name, of.is_satellite
+            return plots.trajectories(self.position_m, *parts, law, self.turns, self.spins_about)
+        turns, turn = self.turns, turn_in_words(self.spin_rate_ratio)
         if figure == "tethers":
-            return plots.tethers(self.turns, self.length_m, self.tension_n, of.tether_name, law)
+            return plots.tethers(turns, self.length_m, self.tension_n, of.tether_name, law, turn)
         if figure == "balance":
-            return plots.balance(self.turns, self.energy_j, self.centre_of_mass_m, law)
+            return plots.balance(turns, self.energy_j, self.centre_of_mass_m, law, turn)
         return plots.deviation(
-            self.turns, self.deviation, of.bead_name, self.deviation_from_centre, law
+            turns, self.deviation, of.bead_name, self.deviation_from_centre, law, turn
         )
 
     def _headline(self):
-        described = self._described
+        described, turn = self._described, turn_in_words(self.spin_rate_ratio)
         return (
             f"of {len(described.bead_name)} beads at ω = {self.spin_rate_ratio:g} Ω:"
-            f" {len(self.t_s)} states, {self.turns[-1] - self.turns[0]:.4g} turns"
+            f" {len(self.t_s)} states, {self.turns[-1] - self.turns[0]:.4g} {turn}s"
         )
 
     def _facts(self):
@@ -222,14 +237,6 @@ class Trajectory(SampledMotion, Stored):
     def step(self) -> np.ndarray:
         """Numbers of the states, from 0, shape (k,)."""
         return np.arange(len(self.t_s))
-
-    @property
-    def turning_m(self) -> np.ndarray:
-        """Positions in the frame that turns with the spin [m], (k, n, 3); they agree at time 0."""
-        angle = -2.0 * math.pi * np.sign(self.spin_rate_ratio) * self.turns[:, None]
-        x, y, z = np.moveaxis(self.position_m, -1, 0)
-        cos, sin = np.cos(angle), np.sin(angle)
-        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
     def __len__(self) -> int:
         return len(self.t_s)

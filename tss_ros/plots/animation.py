@@ -10,11 +10,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from tss_ros.core import ModeMotion, Trajectory, TssError
+from tss_ros.core.presentation import turn_in_words
 from tss_ros.plots.mode_shapes import ShownMode, mode_pictures, shown_motion
 from tss_ros.plots.style import Figure
+from tss_ros.plots.views import about_normal, is_narrow, views, width_limits
 
 FRAME_MS, FRAMES = 70, 90
 #: Colours of an animation's one palette, and pictures that it is chosen from.
@@ -76,8 +79,10 @@ def animate(
 ) -> Animation:
     """The animation of a motion or of a mode.
 
-    A motion is seen from the orbit's north, in the frame that turns with the spin and in the orbit
-    frame, above its tether lengths. A tether's colour is its tension; slack tethers are dotted.
+    A motion is seen along the axis of its spin, in the frame that turns with it, and in the orbit
+    frame: from the orbit's north, or from the side if the axis is another than its normal. A
+    formation that hangs is seen from the north and from ahead. Below are its tether lengths. A
+    tether's colour is its tension; slack tethers are dotted.
 
     Parameters
     ----------
@@ -108,7 +113,7 @@ def animate(
         raise TssError(f"frames must be a whole number from 2 to 10000, got {frames!r:.80}")
     if len(shown) < 2:
         raise TssError(f"a motion needs at least 2 states to be animated, got {len(shown)}")
-    title = title or f"ω = {shown.spin_rate_ratio:g} Ω"
+    title = title or (f"ω = {shown.spin_rate_ratio:g} Ω" if shown.spin_rate_ratio else "hanging")
     return Animation(_MotionPictures(shown, title).pictures(frames))
 
 
@@ -117,17 +122,26 @@ class _MotionPictures:
 
     def __init__(self, motion, title):
         self.motion, self.title = motion, title
+        self.turn = turn_in_words(motion.spin_rate_ratio)
         self.figure = Figure(figsize=(7.6, 5.6), dpi=76, layout="constrained", facecolor=NIGHT)
         self.canvas = FigureCanvasAgg(self.figure)
         grid = self.figure.add_gridspec(2, 3, height_ratios=(3, 1), width_ratios=(1, 1, 0.05))
         pulled = motion.tension_n[motion.taut]
         self.mean_n = float(np.median(pulled)) if pulled.size else 1.0
-        self.views = [
-            self._view(grid[0, 0], motion.turning_m, "turning with the spin", ("x'", "y'")),
-            self._view(
-                grid[0, 1], motion.position_m, "orbit frame", ("x, against the flight", "y, up")
-            ),
-        ]
+        along, side = views(motion.spins_about)
+        hangs = motion.spins_about is None
+        upright = hangs or about_normal(motion.spins_about)
+        places = grid[0, 0], grid[0, 1]
+        if hangs:
+            of = [(view, motion.position_m, view.title, view.names) for view in (along, side)]
+        else:
+            seen = along if upright else side
+            where = "orbit frame" if upright else f"orbit frame, {side.title}"
+            of = [
+                (along, motion.turning_m, "turning with the spin", ("x'", "y'")),
+                (seen, motion.position_m, where, seen.names),
+            ]
+        self.views = [self._view(place, *view) for place, view in zip(places, of)]
         self._lengths(grid[1, :2])
         bar = self.figure.colorbar(
             ScalarMappable(Normalize(0.0, BRIGHTEST), TENSIONS),
@@ -142,22 +156,35 @@ class _MotionPictures:
             for text in (axes.title, axes.xaxis.label, axes.yaxis.label):
                 text.set(color=INK, fontsize=9)
 
-    def _view(self, place, position_m, title, names):
+    def _view(self, place, view, position_m, title, names):
         """An axes, and what moves in it."""
         motion, axes = self.motion, self.figure.add_subplot(place)
-        radius_km = motion.reference_radius_m.max() / 1e3
-        reach_km = 1.22 * radius_km
-        axes.set(xlim=(-reach_km, reach_km), ylim=(-reach_km, reach_km), aspect="equal")
-        axes.set(title=title, xlabel=f"{names[0]} [km]", ylabel=f"{names[1]} [km]")
-        round_ = radius_km * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 121))
-        axes.plot(round_.real, round_.imag, color=FAINT, linewidth=1.0)
+        seen, radius_m = view.of(position_m), motion.reference_radius_m.max()
+        reach_km = 1.22 * radius_m / 1e3
+        thin = motion.spins_about is None and is_narrow(seen)
+        unit_m = np.array([1.0 if thin else 1e3, 1e3])
+        axes.set(ylim=(-reach_km, reach_km))
+        if thin:
+            axes.set(xlim=width_limits(seen))
+            axes.xaxis.set_major_locator(MaxNLocator(4))
+            title += ",\nwidths not to scale"
+        else:
+            axes.set(xlim=(-reach_km, reach_km), aspect="equal")
+            round_ = radius_m / 1e3 * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 121))
+            axes.plot(round_.real, round_.imag, color=FAINT, linewidth=1.0)
+        if motion.spins_about is not None:
+            axis = view.of(motion.spins_about)
+            if np.any(np.abs(axis) > 1e-9):
+                axes.axline((0.0, 0.0), tuple(axis), color=SLACK, linestyle="-.", linewidth=1.0)
+        axes.set(title=title, xlabel=f"{names[0]} [{'m' if thin else 'km'}]")
+        axes.set(ylabel=f"{names[1]} [km]")
         tethers = axes.add_collection(LineCollection([], linewidths=2.2, zorder=3))
         satellites = np.flatnonzero(motion.system.is_satellite)
         colours = [BEADS[k % len(BEADS)] for k in range(len(satellites))]
         trails = [axes.plot([], [], color=c, linewidth=1.2, alpha=0.7)[0] for c in colours]
         zero = np.zeros(len(satellites))
         dots = axes.scatter(zero, zero, s=48, c=colours, zorder=4)
-        return position_m[..., :2] / 1e3, satellites, tethers, trails, dots
+        return seen / unit_m, satellites, tethers, trails, dots
 
     def _lengths(self, place):
         motion, axes = self.motion, self.figure.add_subplot(place)
@@ -165,7 +192,9 @@ class _MotionPictures:
         taut = np.where(motion.taut, 100.0, percent)
         axes.plot(motion.turns, taut, color=INK, linewidth=0.9, alpha=0.85)
         axes.axhline(100.0, color=FAINT, linewidth=1.0)
-        axes.set(xlim=(motion.turns[0], motion.turns[-1]), xlabel="turns [-]")
+        axes.set_ylim(min(99.9, taut.min()) - 0.1 * np.ptp(taut), 100.02 + 0.1 * np.ptp(taut))
+        axes.ticklabel_format(axis="y", useOffset=False)
+        axes.set(xlim=(motion.turns[0], motion.turns[-1]), xlabel=f"{self.turn}s [-]")
         axes.set_ylabel("tether lengths\n[% of rest]")
         self.cursor = axes.axvline(0.0, color=TENSIONS(0.7), linewidth=1.4)
 
@@ -192,5 +221,5 @@ class _MotionPictures:
             for i, line in zip(satellites, trails):
                 line.set_data(*place_km[first : k + 1, i].T)
         self.cursor.set_xdata([turn, turn])
-        self.heading.set_text(f"{self.title}: turn {turn:.1f}")
+        self.heading.set_text(f"{self.title}: {self.turn} {turn:.1f}")
         self.canvas.draw()

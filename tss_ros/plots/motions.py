@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
+from tss_ros.core.model.system import ORBIT_NORMAL
+from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.confirmation import LOST
 from tss_ros.plots.style import (
     DPI,
@@ -18,6 +20,7 @@ from tss_ros.plots.style import (
     series_style,
     state_law,
 )
+from tss_ros.plots.views import about_normal, counted, is_narrow, views, width_limits
 
 #: A shape that ends with this share of its largest deviation has settled.
 SETTLED = 1 / 3
@@ -36,8 +39,9 @@ def trajectories(
     is_satellite: ArrayLike,
     law: str = "",
     turns: ArrayLike | None = None,
+    spins_about: ArrayLike | None = ORBIT_NORMAL,
 ) -> Figure:
-    """Paths of all beads in the orbital plane and edge-on, tethers drawn at the start and the end.
+    """Paths of all beads in two views, tethers drawn at the start and the end.
 
     Parameters
     ----------
@@ -53,61 +57,98 @@ def trajectories(
     turns : array (k,), optional
         Simulated time over the spin period [-]. Of a run of more than two turns the last one is
         drawn in full and the first faintly; what was between is a light trace.
+    spins_about : array (3,), optional
+        See `views.views`: where the two views are from.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Two axes that share the radial direction: the orbital plane [km], and the view along x,
-        whose abscissa is in metres because a healthy motion hardly leaves the plane.
+        Two axes, a view each. Edge-on the abscissa is in metres, because a healthy
+        motion hardly leaves the plane; so it is where a picture would be too narrow.
     """
-    figure = Figure(figsize=(9.0, 6.6), dpi=DPI, layout="constrained")
-    plan, edge = figure.subplots(1, 2, sharey=True, width_ratios=(3.4, 1))
     position_m, satellite = np.asarray(position_m, dtype=float), np.asarray(is_satellite)
-    x_km, y_km, z_m = position_m[..., 0] / 1e3, position_m[..., 1] / 1e3, position_m[..., 2]
-    first, last = _ends_of_run(turns, len(position_m))
-    for axes, across in ((plan, x_km), (edge, z_m)):
-        axes.plot(
-            across[last][:, ~satellite], y_km[last][:, ~satellite], color="0.6", linewidth=0.5
-        )
-        for i in np.flatnonzero(satellite):
-            style = series_style(i)
-            marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
-            if first is not None:
-                axes.plot(across[:, i], y_km[:, i], color="0.9", linewidth=0.6, zorder=1)
-                axes.plot(
-                    across[first][:, i], y_km[first][:, i], color=style["color"], alpha=0.45,
-                    linewidth=0.7, zorder=2,
-                )  # fmt: skip
-            axes.plot(
-                across[last][:, i], y_km[last][:, i], **style,
-                linewidth=0.8 if first is None else 1.3, markevery=[-1], label=bead_name[i],
-                **marker,
-            )  # fmt: skip
-            axes.plot(
-                across[0, i], y_km[0, i], color=style["color"], markerfacecolor="white",
-                linestyle="", **marker,
-            )  # fmt: skip
-    for step, linestyle, label in ((0, "--", "start (open symbols)"), (-1, "-", "end (filled)")):
-        # One broken line for all tethers: NaN lifts the pen between them.
-        ends = np.asarray(tether_ends)
-        pen = [
-            np.column_stack([p[step][ends], np.full(len(ends), np.nan)]).ravel()
-            for p in (x_km, y_km)
-        ]
-        plan.plot(
-            *pen, color=INK, linestyle=linestyle, linewidth=1.2, zorder=3, label=f"tethers, {label}"
-        )
-    plan.set_aspect("equal", adjustable="datalim")
-    finish(plan, "x, against the flight direction [km]", "y, radial, up [km]")
-    finish(edge, "z, orbit normal [m]", "")
-    edge.xaxis.set_major_locator(MaxNLocator(3))
-    legend_below(figure, plan, columns=3)
+    ends, steps = np.asarray(tether_ends), _ends_of_run(turns, len(position_m))
+    in_plane = spins_about is not None and about_normal(spins_about)
+    shown = [(view, view.of(position_m)) for view in views(spins_about)]
+    metres = [is_narrow(seen) for _, seen in shown]
+    metres[1] |= in_plane
+    figure = Figure(figsize=(9.0, 6.6), dpi=DPI, layout="constrained")
+    # Axes of one scale for both directions need ordinates of their own.
+    shared = any(metres) and np.array_equal(*(view.axes[1] for view, _ in shown))
+    shares = (3.4 if metres[1] and not metres[0] else 1, 1)
+    panels = figure.subplots(1, 2, sharey=shared, width_ratios=shares)
+    for axes, (view, seen_m), thin in zip(panels, shown, metres):
+        unit_m = np.array([1.0 if thin else 1e3, 1e3])
+        seen = seen_m / unit_m
+        _draw_paths(axes, seen, satellite, bead_name, steps)
+        if axes is panels[0] or not in_plane:
+            _draw_tethers(axes, seen, ends)
+        if not in_plane and spins_about is not None:
+            _draw_axis(axes, view.of(spins_about) / unit_m)
+        name, up = view.names
+        hidden = axes is panels[1] and shared
+        finish(axes, f"{name} [{'m' if thin else 'km'}]", "" if hidden else f"{up} [km]")
+        if thin:
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+            axes.set_xlim(width_limits(seen_m))
+        else:
+            axes.set_aspect("equal", adjustable="datalim")
+        if not in_plane:
+            said = f"{view.title}, widths not to scale" if thin else view.title
+            axes.set_title(said, color=INK, fontsize="medium")
+    legend_below(figure, panels[0] if in_plane else panels[1], columns=3)
     title = ""
-    if first is not None:
-        title = f"Paths over {np.ptp(turns):.3g} turns: the last one dark, the first faint"
+    if steps[0] is not None:
+        turn = turn_in_words(spins_about is not None)
+        title = f"Paths over {np.ptp(turns):.3g} {turn}s: the last one dark, the first faint"
         title += ", those between grey"
     state_law(figure, law, title)
     return figure
+
+
+def _draw_paths(axes, seen, satellite, bead_name, steps):
+    """Paths of places (k, n, 2); the first and the last turn apart if the run is long."""
+    first, last = steps
+    across, up = seen[..., 0], seen[..., 1]
+    axes.plot(across[last][:, ~satellite], up[last][:, ~satellite], color="0.6", linewidth=0.5)
+    for i in np.flatnonzero(satellite):
+        style = series_style(i)
+        marker = {"marker": MARKERS[i % len(MARKERS)], "markersize": 8, "zorder": 4}
+        if first is not None:
+            axes.plot(across[:, i], up[:, i], color="0.9", linewidth=0.6, zorder=1)
+            axes.plot(
+                across[first][:, i], up[first][:, i], color=style["color"], alpha=0.45,
+                linewidth=0.7, zorder=2,
+            )  # fmt: skip
+        axes.plot(
+            across[last][:, i], up[last][:, i], **style, linewidth=0.8 if first is None else 1.3,
+            markevery=[-1], label=bead_name[i], **marker,
+        )  # fmt: skip
+        axes.plot(
+            across[0, i], up[0, i], color=style["color"], markerfacecolor="white", linestyle="",
+            **marker,
+        )  # fmt: skip
+
+
+def _draw_tethers(axes, seen, ends):
+    """Tethers at the start and at the end."""
+    for step, linestyle, label in ((0, "--", "start (open symbols)"), (-1, "-", "end (filled)")):
+        # One broken line for all tethers: NaN lifts the pen between them.
+        pen = np.full((len(ends), 3, 2), np.nan)
+        pen[:, :2] = seen[step][ends]
+        axes.plot(
+            *pen.reshape(-1, 2).T, color=INK, linestyle=linestyle, linewidth=1.2, zorder=3,
+            label=f"tethers, {label}",
+        )  # fmt: skip
+
+
+def _draw_axis(axes, direction):
+    """The axis of the spin as a line through the centre, where it is not seen end-on."""
+    if np.any(np.abs(direction) > 1e-9):
+        axes.axline(
+            (0.0, 0.0), tuple(direction), color="0.45", linestyle="-.", linewidth=1.0, zorder=1,
+            label="spin axis",
+        )  # fmt: skip
 
 
 def _ends_of_run(turns, k):
@@ -125,6 +166,7 @@ def deviation(
     bead_name: Sequence[str],
     from_centre_of_mass: ArrayLike | None = None,
     law: str = "",
+    turn: str = "turn",
 ) -> Figure:
     """Relative deviation of the beads' distances from their undisturbed values against turns.
 
@@ -139,6 +181,8 @@ def deviation(
         The same measured from the instantaneous centre of mass [-]: whether the formation holds
         its shape, however far it drifted along the orbit.
     law : str
+    turn : str
+        What is counted: "turn", or "orbit" of a formation that hangs. So in all figures here.
 
     Returns
     -------
@@ -148,7 +192,7 @@ def deviation(
     """
     panels = [("", "from the frame's origin (Eq. 53) [%]", deviation)]
     if from_centre_of_mass is not None:
-        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass)
+        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass, turn)
         panels = [
             (shape, "from the centre of mass [%]", from_centre_of_mass),
             (drift, *panels[0][1:]),
@@ -164,14 +208,17 @@ def deviation(
         axes.margins(x=0.01)
         finish(axes, "", f"deviation\n{label}")
         axes.set_title(title, loc="left", color=INK, fontsize="medium")
-    _count_turns(rows[-1])
+    _count_turns(rows[-1], turn)
     legend_beside(figure, rows[0])
     state_law(figure, law)
     return figure
 
 
 def shape_in_words(
-    turns: ArrayLike, from_origin: ArrayLike, from_centre_of_mass: ArrayLike
+    turns: ArrayLike,
+    from_origin: ArrayLike,
+    from_centre_of_mass: ArrayLike,
+    turn: str = "turn",
 ) -> tuple[str, str]:
     """What became of the shape, and what the deviation from the frame's origin is.
 
@@ -180,6 +227,7 @@ def shape_in_words(
     turns : array (k,)
     from_origin, from_centre_of_mass : array (k, n)
         Eq. 53 [-].
+    turn : str
 
     Returns
     -------
@@ -193,7 +241,7 @@ def shape_in_words(
         return f"The shape is lost: it deviates by up to {worst:.0%}", WITH_DRIFT
     if late < SETTLED * worst and np.ptp(turns) > 1.0:
         words = f"The shape settles: {100 * worst:.2g} % at most, "
-        words += f"{100 * late:.2g} % in the last turn"
+        words += f"{100 * late:.2g} % in the last {turn}"
     else:
         words = f"The shape holds: it deviates by at most {100 * worst:.2g} %"
     if all_in_all < 2.0 * worst:
@@ -210,6 +258,7 @@ def tethers(
     tension_n: ArrayLike,
     tether_name: Sequence[str],
     law: str = "",
+    turn: str = "turn",
 ) -> Figure:
     """Lengths and tensions of all tether segments against turns.
 
@@ -219,7 +268,7 @@ def tethers(
     length_m, tension_n : array (k, m)
         [m] and [N].
     tether_name : sequence of str (m)
-    law : str
+    law, turn : str
 
     Returns
     -------
@@ -228,7 +277,7 @@ def tethers(
     """
     tension_n = np.asarray(tension_n, dtype=float)
     panels = (("length [m]", length_m), ("tension [N]", tension_n))
-    figure = _panels(turns, panels, tether_name, law)
+    figure = _panels(turns, panels, tether_name, law, turn)
     limit_n = tension_limit(tension_n)
     if np.isfinite(limit_n):
         _cut_spikes(figure.axes[1], np.asarray(turns), tension_n, limit_n)
@@ -272,7 +321,11 @@ def _begins(above):
 
 
 def balance(
-    turns: ArrayLike, energy_j: ArrayLike, centre_of_mass_m: ArrayLike, law: str = ""
+    turns: ArrayLike,
+    energy_j: ArrayLike,
+    centre_of_mass_m: ArrayLike,
+    law: str = "",
+    turn: str = "turn",
 ) -> Figure:
     """Energy and centre of mass in the orbit frame against turns.
 
@@ -281,7 +334,7 @@ def balance(
     turns, energy_j : array (k,)
         [-] and [J].
     centre_of_mass_m : array (k, 3)
-    law : str
+    law, turn : str
 
     Returns
     -------
@@ -289,7 +342,7 @@ def balance(
     """
     names = ("x, against the flight", "y, radial, up", "z, orbit normal")
     panels = (("centre of mass [m]", centre_of_mass_m), ("energy [J]", []))
-    figure = _panels(turns, panels, names, law)
+    figure = _panels(turns, panels, names, law, turn)
     figure.axes[1].plot(turns, energy_j, color=INK, linewidth=1.1)
     moved_m = float(np.ptp(np.asarray(centre_of_mass_m), axis=0).max())
     change_j = float(energy_j[-1] - energy_j[0])
@@ -305,7 +358,7 @@ def balance(
     return figure
 
 
-def _panels(turns, panels, names, law):
+def _panels(turns, panels, names, law, turn):
     """One axes for each (label, array (k, curves)), with a common abscissa and one legend."""
     figure = Figure(figsize=(9.4, 1.0 + 2.9 * len(panels)), dpi=DPI, layout="constrained")
     rows = figure.subplots(len(panels), 1, sharex=True)
@@ -315,13 +368,13 @@ def _panels(turns, panels, names, law):
         axes.margins(x=0.01)
         axes.ticklabel_format(axis="y", useOffset=False)
         finish(axes, "", label)
-    _count_turns(rows[-1])
+    _count_turns(rows[-1], turn)
     legend_beside(figure, rows[0])
     state_law(figure, law)
     return figure
 
 
-def _count_turns(axes):
-    """The abscissa of turns, ticks at whole ones where there are several."""
-    axes.set_xlabel("turns of the formation [-]")
+def _count_turns(axes, turn):
+    """The abscissa of turns or orbits, ticks at whole ones where there are several."""
+    axes.set_xlabel(counted(turn))
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=axes.get_xlim()[1] > 3))

@@ -10,6 +10,7 @@ from tss_ros.core import FAMILIES, CriticalRate, FloquetResult, GrowthResult, Ts
 from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.plots.charts import stability, stability_map
 from tss_ros.plots.style import COLOURS, DPI, INK, MARKERS, Figure, finish, legend_below, state_law
+from tss_ros.plots.views import counted
 
 #: Sizes of the families' markers: those that often lie at one place show all the same.
 SIZES = (12, 8, 7, 10, 9)
@@ -190,7 +191,7 @@ def plot_chart(
     )
 
 
-def disturbance(turns: ArrayLike, difference: ArrayLike) -> Figure:
+def disturbance(turns: ArrayLike, difference: ArrayLike, turn: str = "turn") -> Figure:
     """How a disturbance dies out or grows.
 
     Parameters
@@ -198,6 +199,8 @@ def disturbance(turns: ArrayLike, difference: ArrayLike) -> Figure:
     turns : array (k,)
     difference : array (k,)
         From the undisturbed motion, over the radius [-], as `Confirmation.history`.
+    turn : str
+        What is counted: "turn", or "orbit" of a formation that hangs.
 
     Returns
     -------
@@ -209,7 +212,7 @@ def disturbance(turns: ArrayLike, difference: ArrayLike) -> Figure:
     axes.semilogy(turns, np.where(difference > 0.0, difference, np.nan), color=COLOURS[0])
     axes.margins(x=0.01)
     label = "difference from the undisturbed\nmotion, over radius [-]"
-    finish(axes, "turns of the formation [-]", label)
+    finish(axes, counted(turn), label)
     return figure
 
 

@@ -25,10 +25,12 @@ class LiveFeed:
     ----------
     logger : rclpy logger
         Gets an error if there is no viewer; recording goes on without.
+    earth : bool
+        Whether to show the Earth, too.
     """
 
-    def __init__(self, logger: RcutilsLogger) -> None:
-        self._logger = logger
+    def __init__(self, logger: RcutilsLogger, earth: bool = False) -> None:
+        self._logger, self._earth = logger, earth
         self._waiting = {
             name: deque(maxlen=WAITING)
             for name in ("system_description", "bead_states", "tether_states", "stability_results")
@@ -58,7 +60,7 @@ class LiveFeed:
         from tss_ros.review.review import LiveReview
 
         try:
-            review = LiveReview()
+            review = LiveReview(earth=self._earth)
             while not self._stopping.wait(PERIOD_S):
                 self._show_waiting(review)
             review.close()

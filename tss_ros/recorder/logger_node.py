@@ -16,6 +16,7 @@ from tss_ros.bags.records import BagError
 from tss_ros.bags.recover import find_cut
 from tss_ros.bags.verify import check_quickly
 from tss_ros.bags.writer import BagWriter
+from tss_ros.core.errors import TssError
 from tss_ros.messages import blocks
 from tss_ros.messages.cdr import step_number
 from tss_ros.messages.topics import STATE_TOPICS
@@ -43,6 +44,8 @@ class LoggerNode(TssNode):
     def __init__(self):
         super().__init__("logger_node")
         options = parameters.read_parameters(self, parameters.LOGGER)
+        if options["earth"] and not options["rerun"]:
+            raise TssError("earth is true, but rerun is false: there is no viewer to show it in")
         output = options["output"] or time.strftime("bag_%Y%m%d_%H%M%S")
         self._writer = BagWriter(
             output,
@@ -55,7 +58,7 @@ class LoggerNode(TssNode):
         if options["rerun"]:
             from tss_ros.recorder.live_feed import LiveFeed  # loads what draws
 
-            self._live = LiveFeed(self.get_logger())
+            self._live = LiveFeed(self.get_logger(), options["earth"])
         self._last_step = self._reported_step = -1
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0

@@ -38,6 +38,8 @@ class LiveReview:
     url : str, optional
         Viewer to connect to, as in ``rerun+http://127.0.0.1:9876/proxy``; by default one is
         started, which stays open after `close`.
+    earth : bool
+        Whether to show the Earth where it is, in its size. So in all functions here.
 
     Raises
     ------
@@ -45,7 +47,8 @@ class LiveReview:
         If there is no screen for a viewer, or none answers.
     """
 
-    def __init__(self, url: str | None = None) -> None:
+    def __init__(self, url: str | None = None, earth: bool = False) -> None:
+        self._earth = earth
         self._url = url or viewer.on_screen().url
         self._stream = self._scene = None
         self.begin()
@@ -62,7 +65,7 @@ class LiveReview:
         """Show some steps in one go, which follow those shown before."""
         first = self._scene is None
         if first:
-            self._scene = Scene(self._stream, recording)
+            self._scene = Scene(self._stream, recording, earth=self._earth)
             self._title = f"{VIEW_TITLE}; {law_in_words(recording.tether_law)}"
         self._scene.send(recording)
         if first:
@@ -85,7 +88,12 @@ class LiveReview:
         self._stream.disconnect()
 
 
-def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Sequence[str]) -> None:
+def show(
+    recordings: Sequence[Recording],
+    stream: rr.RecordingStream,
+    names: Sequence[str],
+    earth: bool = False,
+) -> None:
     """Send whole recordings to a Rerun recording stream, side by side if there are several.
 
     Parameters
@@ -94,11 +102,12 @@ def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Seq
     stream : rerun.RecordingStream
     names : list of str
         Shown in the viewer.
+    earth : bool
     """
     stream.send_recording_name(" | ".join(names))
     alone = len(recordings) == 1
     roots = [""] if alone else [f"run_{i + 1}/" for i in range(len(recordings))]
-    scenes = [Scene(stream, recording, root) for recording, root in zip(recordings, roots)]
+    scenes = [Scene(stream, *pair, earth) for pair in zip(recordings, roots)]
     for scene, recording in zip(scenes, recordings):
         scene.send(recording)
         limit_n = tension_limit(recording.tension_n)
@@ -111,7 +120,7 @@ def show(recordings: Sequence[Recording], stream: rr.RecordingStream, names: Seq
     stream.send_blueprint(layout(scenes, titles))
 
 
-def save(recording: Recording, path: str | Path, name: str) -> None:
+def save(recording: Recording, path: str | Path, name: str, earth: bool = False) -> None:
     """Write a whole recording as a Rerun file, replacing one that exists.
 
     Parameters
@@ -120,27 +129,33 @@ def save(recording: Recording, path: str | Path, name: str) -> None:
     path : str or Path
     name : str
         Shown in the viewer.
+    earth : bool
 
     Raises
     ------
     TssError
         If the file cannot be written.
     """
-    _save([recording], path, [name])
+    _save([recording], path, [name], earth)
 
 
-def _save(recordings, path, names):
+def _save(recordings, path, names, earth=False):
     stream = rr.RecordingStream(APPLICATION)
     # Through memory: Rerun's own file sink waits for ever once the disk is full.
     memory = stream.memory_recording()
-    show(recordings, stream, names)
+    show(recordings, stream, names, earth)
     try:
         Path(path).write_bytes(memory.drain_as_bytes())
     except OSError as error:
         raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
 
 
-def save_picture(recordings: Sequence[Recording], path: str | Path, names: Sequence[str]) -> None:
+def save_picture(
+    recordings: Sequence[Recording],
+    path: str | Path,
+    names: Sequence[str],
+    earth: bool = False,
+) -> None:
     """Draw the last step, as the viewer shows it, into a PNG file; needs no screen.
 
     Raises
@@ -148,12 +163,17 @@ def save_picture(recordings: Sequence[Recording], path: str | Path, names: Seque
     TssError
         If the viewer cannot draw here, or the file cannot be written.
     """
-    with _unseen(recordings, names, PICTURE_SIZE) as draw:
+    with _unseen(recordings, names, PICTURE_SIZE, earth) as draw:
         picture = draw(max(r.t_s[-1] for r in recordings))
     _write(path, picture.save, format="PNG")
 
 
-def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequence[str]) -> None:
+def save_video(
+    recordings: Sequence[Recording],
+    path: str | Path,
+    names: Sequence[str],
+    earth: bool = False,
+) -> None:
     """Draw the whole motion into a .mp4 file (by ffmpeg) or a .gif file; needs no screen.
 
     Raises
@@ -170,7 +190,7 @@ def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequenc
             "there is no ffmpeg to write .mp4 (sudo apt install ffmpeg); .gif needs none"
         )
     start, end = min(r.t_s[0] for r in recordings), max(r.t_s[-1] for r in recordings)
-    with _unseen(recordings, names, VIDEO_SIZE) as draw:
+    with _unseen(recordings, names, VIDEO_SIZE, earth) as draw:
         frames = []
         for i, t_s in enumerate(np.linspace(start, end, VIDEO_FRAMES)):
             frames.append(draw(t_s))
@@ -192,12 +212,12 @@ def save_video(recordings: Sequence[Recording], path: str | Path, names: Sequenc
 
 
 @contextlib.contextmanager
-def _unseen(recordings, names, size):
+def _unseen(recordings, names, size, earth):
     """A function that draws the viewer at a simulation time [s], as a PIL image."""
     with tempfile.TemporaryDirectory() as folder:
         file, picture = Path(folder) / "review.rrd", Path(folder) / "picture.png"
         show_progress("loading the recording into the viewer")
-        _save(recordings, file, names)
+        _save(recordings, file, names, earth)
         with viewer.unseen(file, *size) as client:
 
             def draw(t_s):
@@ -221,24 +241,24 @@ def _write(path, write, **options):
         raise TssError(f"{str(path)!r} cannot be written: {error.strerror}") from error
 
 
-def _show_in_viewer(recordings, names):
+def _show_in_viewer(recordings, names, earth):
     window = viewer.on_screen()
-    _send(recordings, names, window.url)
+    _send(recordings, names, window.url, earth)
     window.wait()
 
 
-def _show_in_browser(recordings, names):
+def _show_in_browser(recordings, names, earth):
     server, address = viewer.in_browser()
-    _send(recordings, names, server.url)
+    _send(recordings, names, server.url, earth)
     print(f"{address}\nCtrl-C ends it", flush=True)
     webbrowser.open(address)
     server.wait()
 
 
-def _send(recordings, names, url):
+def _send(recordings, names, url, earth):
     stream = rr.RecordingStream(APPLICATION)
     viewer.connect(stream, url)
-    show(recordings, stream, names)
+    show(recordings, stream, names, earth)
     stream.flush()
 
 
@@ -251,6 +271,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "bag", type=Path, nargs="+", help="bag directory or .mcap file; several are compared"
     )
     parser.add_argument("--run", type=int, help="which run of a bag with several; default the last")
+    parser.add_argument(
+        "--earth", action="store_true", help="show the Earth where it is, in its size"
+    )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--web", action="store_true", help="show it in a browser on this machine")
     for flag, endings, help in (
@@ -276,12 +299,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         ):
             if path is not None:
                 try:
-                    write(recordings, path, names)
+                    write(recordings, path, names, arguments.earth)
                 finally:
                     show_progress("")
                 print(path)
                 return status
-        (_show_in_browser if arguments.web else _show_in_viewer)(recordings, names)
+        open_ = _show_in_browser if arguments.web else _show_in_viewer
+        open_(recordings, names, arguments.earth)
     except TssError as error:
         print(f"review: {one_line(error)}", file=sys.stderr)
         return 1

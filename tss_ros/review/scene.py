@@ -15,6 +15,8 @@ from tss_ros.bags.recording import Recording
 from tss_ros.core import in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.plots import mode_of
+from tss_ros.plots.views import about_normal, views
+from tss_ros.review.earth import Earth
 
 APPLICATION = "tss_ros"
 #: Seconds of wall time that one turn takes when the viewer plays a recording.
@@ -30,6 +32,8 @@ SERIES = np.array(
 )
 LOW_TENSION, TYPICAL_TENSION, HIGH_TENSION = (60, 130, 255), (250, 225, 90), (235, 60, 30)
 SLACK, BEADS, AXES = (125, 125, 125), (200, 200, 200), (150, 150, 150)
+#: How far above a formation the eye is that sees the Earth, too, over its reach.
+ABOVE_EARTH = 0.8
 TETHER_WIDTH, SLACK_WIDTH = rr.Radius.ui_points(2.5), rr.Radius.ui_points(1.0)
 TRAIL_WIDTH = rr.Radius.ui_points(1.0)
 
@@ -62,12 +66,23 @@ class Scene:
         Says what the formation is; its steps are for `send`.
     root : str
         Entity under which all is put, ending in "/" if not empty.
+    earth : bool
+        Whether to show the Earth where it is, in its size.
     """
 
-    def __init__(self, stream: rr.RecordingStream, recording: Recording, root: str = "") -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        recording: Recording,
+        root: str = "",
+        earth: bool = False,
+    ) -> None:
         self.root = root
+        self.earth = Earth(stream, f"{root}formation/earth", recording) if earth else None
         self.turn_s = recording.turn_s
-        self.has_stability, self.mode_title = False, ""
+        self._spin_axis, self.spins_about = recording.spin_axis, recording.spins_about
+        self.seen = views(recording.spins_about)[0]
+        self.has_stability, self.mode_title, self.mode_view = False, "", None
         self._stream = stream
         self._satellites = np.flatnonzero(recording.is_satellite)
         self._others = np.flatnonzero(~recording.is_satellite)
@@ -93,6 +108,8 @@ class Scene:
             when = _when(recording, steps)
             self._send_formation(when, recording, steps)
             self._send_scale(_when(recording, slice(first, first + 1)))
+            if self.earth:
+                self.earth.send(when, recording.t_s[steps])
             for plot, values in curves.items():
                 columns = rr.Scalars.columns(scalars=values[steps].ravel())
                 path = f"{self.root}plots/{plot}"
@@ -108,11 +125,11 @@ class Scene:
         self._stream.log(f"{self.root}stability", document, static=True)
         shown = [result for result in results if result.mode]
         if shown:
-            self._send_mode(mode_of(shown[-1]))
+            self._send_mode(mode_of(shown[-1], self._spin_axis))
 
     def _send_mode(self, mode):
         """Show a mode in the frame that turns with the formation, from the start of the run."""
-        self.mode_title = " ".join(mode.title.split())
+        self.mode_title, self.mode_view = " ".join(mode.title.split()), mode.view
         size_m = np.max(np.linalg.norm(self._last_position_m, axis=-1))
         when = [
             rr.TimeColumn("sim_time", duration=mode.turns * self.turn_s),
@@ -214,23 +231,25 @@ class Scene:
 
     def _send_scale(self, when):
         """A bar beside the formation that says what its tethers' colours mean, from now on."""
-        x, y = SCALE_X * self.reach_m, SCALE_HEIGHT * self.reach_m * _SCALE
-        ends = np.stack([np.full_like(y, x), y, np.zeros_like(y)], axis=-1)
+        right, up, _ = self.reach_m * self.seen.axes
+        ends = SCALE_X * right + SCALE_HEIGHT * _SCALE[:, None] * up
         bar = np.stack([ends[:-1], ends[1:]], axis=1)
         colours = _colour_of(2.0 * (_SCALE[:-1] + _SCALE[1:])).astype(np.uint8)
         self._log("formation/scale", rr.LineStrips3D(bar, colors=colours, radii=TETHER_WIDTH))
         labels = [f"{factor * self._typical_n:.2g} N" for factor in (0.1, 1.0, 10.0)]
-        beside = (0.12 * self.reach_m, 0.0, 0.0)
-        places = ends[[0, SCALE_PARTS // 2, SCALE_PARTS]] + beside
+        places = ends[[0, SCALE_PARTS // 2, SCALE_PARTS]] + 0.12 * right
         points = rr.Points3D.columns(positions=places, labels=labels)
         path = f"{self.root}formation/scale/numbers"
         self._stream.send_columns(path, when, points.partition([len(labels)]))
 
     def _send_axes(self, position_m):
         self.reach_m = 1.2 * np.linalg.norm(position_m, axis=-1).max()
+        directions = {"up": (0.0, 1.0, 0.0), "flight": (-1.0, 0.0, 0.0)}
+        if self.spins_about is not None and not about_normal(self.spins_about):
+            directions["spin axis"] = self.spins_about
         axes = rr.Arrows3D(
-            vectors=[(0, self.reach_m / 6, 0), (-self.reach_m / 6, 0, 0)],
-            labels=["up", "flight"],
+            vectors=self.reach_m / 6 * np.array(list(directions.values())),
+            labels=list(directions),
             colors=AXES,
             radii=TRAIL_WIDTH,
         )
@@ -258,7 +277,7 @@ def layout(scenes: Sequence[Scene], titles: Sequence[str]) -> rrb.Blueprint:
             origin = f"{scene.root}stability"
             views.append(rrb.TextDocumentView(origin=origin, name="Stability results"))
         if scene.mode_title:
-            eye = _eye(scene, 1.3)
+            eye = _eye(scene.mode_view, scene.reach_m, 1.3)
             views.append(
                 rrb.Spatial3DView(
                     origin=f"{scene.root}mode", name=scene.mode_title, line_grid=False,
@@ -297,7 +316,8 @@ def _formation_view(scene, title):
             ),
         ]
     )
-    eye = _eye(scene, 0.6)
+    # From above, the Earth's edge is in the picture.
+    eye = _eye(scene.seen, scene.reach_m, -ABOVE_EARTH if scene.earth else 0.6)
     return rrb.Spatial3DView(
         origin=f"{scene.root}formation",
         overrides=dict.fromkeys(scene.trails.values(), trail),
@@ -307,12 +327,11 @@ def _formation_view(scene, title):
     )
 
 
-def _eye(scene, below):
-    """Where a formation is seen from: the orbit's north, and so far below, over its reach."""
+def _eye(view, reach_m, below):
+    """Where a formation is seen from: in a view, and so far below, over its reach."""
+    _, up, towards = view.axes
     return rrb.EyeControls3D(
-        position=(0, -below * scene.reach_m, 2.2 * scene.reach_m),
-        look_target=(0, 0, 0),
-        eye_up=(0, 1, 0),
+        position=reach_m * (2.2 * towards - below * up), look_target=(0, 0, 0), eye_up=up
     )
 
 

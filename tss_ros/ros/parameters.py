@@ -164,6 +164,9 @@ LOGGER = (
     Parameter(
         "rerun", bool, "Show the motion in a Rerun viewer while it is recorded", default=False
     ),
+    Parameter(
+        "earth", bool, "Show the Earth in that viewer, where it is and in its size", default=False
+    ),
 )  # fmt: skip
 
 #: A parameters file may serve several nodes, so each knows the names of all, and ROS's own.

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tss_ros import plots
 from tss_ros.command_line import Parser
 from tss_ros.core import TssError
 from tss_ros.core.stability.law_words import law_in_words
@@ -139,24 +138,11 @@ def _progress(turn_s):
 
 
 def _save_trajectories(recording, directory):
-    plots.trajectories(
-        recording.position_m,
-        recording.tether_ends,
-        recording.bead_name,
-        recording.is_satellite,
-        _law(recording),
-        recording.turns,
-    ).savefig(directory / "trajectories.png")
+    recording.plot("trajectories").savefig(directory / "trajectories.png")
 
 
 def _save_deviation(recording, directory):
-    plots.deviation(
-        recording.turns,
-        recording.deviation,
-        recording.bead_name,
-        recording.deviation_from_centre,
-        _law(recording),
-    ).savefig(directory / "deviation.png")
+    recording.plot("deviation").savefig(directory / "deviation.png")
 
 
 def _save_review(recording, directory):

@@ -369,9 +369,10 @@ class Control:
         if self._stopping or self.step < 0:
             return
         wall_s = time.monotonic() - self._started
-        turns = self.simulation.newest.time_ns / 1e9 / self.simulation.setup.turn_s
+        setup = self.simulation.setup
+        turns = self.simulation.newest.time_ns / 1e9 / setup.turn_s
         self._logger.info(
-            f"{self.step + 1} steps, {turns:.2f} turns, in {wall_s:.2f} s; "
+            f"{self.step + 1} steps, {turns:.2f} {setup.turn}s, in {wall_s:.2f} s; "
             f"tethers switched between slack and taut {self.simulation.switches} times"
         )
         deadline = time.monotonic() + FINISH_S

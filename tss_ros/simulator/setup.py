@@ -8,6 +8,7 @@ import numpy as np
 
 from tss_ros.core import State, System, disturbed, initial_state, tether_state
 from tss_ros.core.model.orbits import ReferenceOrbit
+from tss_ros.core.presentation import turn_in_words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +82,11 @@ class Setup:
     def orbit(self) -> ReferenceOrbit:
         """The orbit of the formation's nominal centre."""
         return ReferenceOrbit(self.system)
+
+    @property
+    def turn(self) -> str:
+        """What is counted: "turn", or "orbit" of a formation that hangs."""
+        return turn_in_words(self.spin_rate_ratio)
 
     @property
     def turn_s(self) -> float:

@@ -215,7 +215,8 @@ class SimNode(TssNode):
         self.get_logger().info(
             f"{setup.options['scenario']}: {setup.system.is_satellite.sum()} satellites, "
             f"{setup.system.n} beads in all, {setup.system.m} tethers, "
-            f"spin {setup.spin_rate_ratio:g} Omega, one turn {setup.turn_s:.1f} s, "
+            f"spin {setup.spin_rate_ratio:g} Omega, "
+            f"one {setup.turn} {setup.turn_s:.1f} s, "
             f"tether law {setup.system.tether_law}"
         )
 
@@ -232,8 +233,9 @@ class SimNode(TssNode):
         self._keep_clock()
         if time.monotonic() - self._progress > PROGRESS_PERIOD_S:
             self._progress = time.monotonic()
-            turns = sample.time_ns / 1e9 / self._control.simulation.setup.turn_s
-            self.get_logger().info(f"step {step}, {turns:.2f} turns simulated")
+            setup = self._control.simulation.setup
+            turns = sample.time_ns / 1e9 / setup.turn_s
+            self.get_logger().info(f"step {step}, {turns:.2f} {setup.turn}s simulated")
 
     def _publish_events(self, step):
         time_ns = self._control.simulation.newest.time_ns

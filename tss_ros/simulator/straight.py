@@ -66,8 +66,8 @@ def simulate(
     end_s = turns * setup.turn_s
     if not end_s <= MAX_TIME_S:
         raise TssError(
-            f"{turns:g} turns take {end_s:.4g} s; allowed: at most {MAX_TIME_S / setup.turn_s:.6g} "
-            f"turns, which is {MAX_TIME_S} s"
+            f"{turns:g} {setup.turn}s take {end_s:.4g} s; allowed: at most"
+            f" {MAX_TIME_S / setup.turn_s:.6g} {setup.turn}s, which is {MAX_TIME_S} s"
         )
     writer = BagWriter(output, os.environ.get("ROS_DISTRO", "jazzy"), split_bytes=SPLIT_BYTES)
     try:

@@ -60,6 +60,30 @@ def turn_to(axis: np.ndarray, start: np.ndarray = Z_AXIS) -> np.ndarray:
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
 
 
+def as_turned(position_m: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Positions in a frame that has turned about an axis, from those in the frame at rest.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (k, n, 3)
+    axis : ndarray, shape (3,)
+        Unit vector.
+    angle : ndarray, shape (k,)
+        [rad] by which the frame has turned, counter-clockwise about the axis.
+
+    Returns
+    -------
+    ndarray, shape (k, n, 3)
+        [m] where the angle is 0, the positions given.
+    """
+    axis, angle = np.asarray(axis), np.asarray(angle)[:, None, None]
+    along = (position_m @ axis)[..., None] * axis
+    across = np.cross(axis, position_m)
+    # 1 - cos(angle), without cancellation.
+    versine = 2.0 * np.sin(0.5 * angle) ** 2
+    return np.cos(angle) * position_m - np.sin(angle) * across + versine * along
+
+
 @inlined
 def _into_orbit(c, s, spin, x, y, vx, vy):
     """Plane components of one position and velocity, c = cos(omega t), s = sin(omega t)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from tss_ros.core.model.configurations import deviation, disturbed, initial_stat
 from tss_ros.core.model.forces import pushing_share, tether_state
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
-from tss_ros.core.presentation import Presented, data_frame, found
+from tss_ros.core.presentation import Presented, a_turn, data_frame, found, turn_in_words
 from tss_ros.core.stability.acceptance import COLLAPSED, turns_made
 from tss_ros.core.stability.result import FloquetResult
 from tss_ros.core.stored import Stored
@@ -69,6 +69,8 @@ class DisturbedMotion:
     history : ndarray, shape (k,)
         Largest difference of the beads' distances from the centre of mass between the disturbed
         and the undisturbed motion, over the radius.
+    hangs : bool
+        Whether the formation hangs, whose turns are orbits.
     """
 
     held: bool
@@ -82,6 +84,8 @@ class DisturbedMotion:
     pushing_share: float
     turns: np.ndarray
     history: np.ndarray
+    # Files of older releases do not have it.
+    hangs: bool = field(default_factory=bool, kw_only=True)
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +109,8 @@ class Confirmation(Presented, Stored, DisturbedMotion):
         if not self.shortest > COLLAPSED:
             return f"a tether shrank to {self.shortest:.3g} of its rest length"
         if not abs(self.turned - 1.0) < ASTRAY:
-            return f"it made {self.turned:.3g} of the turns that it should"
+            against = " against the stars" if self.hangs else ""
+            return f"it made {self.turned:.3g} of the turns{against} that it should"
         if not self.deviation_from_centre < LOST:
             return f"a bead left its distance from the centre by {self.deviation_from_centre:.2%}"
         if not self.held:
@@ -115,25 +120,31 @@ class Confirmation(Presented, Stored, DisturbedMotion):
 
     def plot(self) -> Any:
         """How the disturbance dies out or grows, `plots.disturbance`, a Matplotlib figure."""
-        return found("tss_ros.plots", "plot").disturbance(self.turns, self.history)
+        return found("tss_ros.plots", "plot").disturbance(
+            self.turns, self.history, turn_in_words(not self.hangs)
+        )
 
     def to_pandas(self) -> Any:
         """`turns` and `history` as a pandas.DataFrame."""
         return data_frame({"turns": self.turns, "history": self.history})
 
     def _headline(self):
-        words = f"{'held' if self.held else 'lost'} within {self.turns[-1]:g} turns: {self.reason}"
+        turn = turn_in_words(not self.hangs)
+        words = (
+            f"{'held' if self.held else 'lost'} within {self.turns[-1]:g} {turn}s: {self.reason}"
+        )
         if math.isnan(self.growth_per_turn):
             return words
-        return f"{words}; a small disturbance times {self.growth_per_turn:.6g} a turn"
+        growth = f"{self.growth_per_turn:.6g} {a_turn(not self.hangs)}"
+        return f"{words}; a small disturbance times {growth}"
 
     def _facts(self):
         return {
             "held": "yes" if self.held else "no",
             "because": self.reason,
             "turns made, over those due": f"{self.turned:.6g}",
-            "turns to settle": f"{self.turns_to_settle:.4g}",
-            "a small disturbance": f"times {self.growth_per_turn:.6g} a turn",
+            f"{turn_in_words(not self.hangs)}s to settle": f"{self.turns_to_settle:.4g}",
+            "a small disturbance": f"times {self.growth_per_turn:.6g} {a_turn(not self.hangs)}",
             "deviation, Eq. (53)": f"at most {self.deviation_from_origin:.3g}",
             "from the centre of mass": f"at most {self.deviation_from_centre:.3g}",
             "slack/taut switches": self.switches,
@@ -345,6 +356,7 @@ class UndisturbedMotion:
             pushing_share=pushing_share(tension, taut),
             turns=times / self._period_s,
             history=history,
+            hangs=not self._ratio,
         )
 
 

@@ -17,7 +17,7 @@ from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
-from tss_ros.core.presentation import Presented, found
+from tss_ros.core.presentation import Presented, a_turn, found
 from tss_ros.core.stability.mean_model import mean_modes, wave_numbers
 from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, in_turning_frame, stays_in_plane
 from tss_ros.core.stability.result import FloquetResult
@@ -54,6 +54,8 @@ class Mode(Presented):
         Displacements at the start of the turn, the largest of size 1. They oscillate as the real
         part of `shape` times exp(2 pi i frequency t / T), and grow by the modulus of the
         multiplier a turn.
+    hangs : bool
+        Whether the formation hangs, whose turn is an orbit.
     """
 
     multiplier: complex
@@ -62,6 +64,7 @@ class Mode(Presented):
     frequency: float
     wave_number: int
     shape: np.ndarray
+    hangs: bool = False
 
     @property
     def in_words(self) -> str:
@@ -70,7 +73,7 @@ class Mode(Presented):
         where = f"{self.direction.replace(' ', '-')} " if either else ""
         known = [f"k = {self.wave_number}"] if self.wave_number >= 0 else []
         if not math.isnan(self.frequency):
-            known.append(f"{self.frequency:.3f} a turn")
+            known.append(f"{self.frequency:.3f} {a_turn(not self.hangs)}")
         return f"{where}{self.family}" + (f" ({', '.join(known)})" if known else "")
 
     def _headline(self):
@@ -81,7 +84,7 @@ class Mode(Presented):
             "family": self.family,
             "direction": self.direction,
             "multiplier": f"{self.multiplier:.8g}, modulus {abs(self.multiplier):.8f}",
-            "frequency": f"{self.frequency:.6g} a turn",
+            "frequency": f"{self.frequency:.6g} {a_turn(not self.hangs)}",
             "wave number": self.wave_number if self.wave_number >= 0 else "-",
         }
 
@@ -139,6 +142,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
             float(frequency[k]),
             int(wave_number[k]),
             position[:, :, k] * _to_size_one(position[:, :, k]),
+            not result.spin_rate_ratio,
         )
         for k in range(rho.size)
     ]
@@ -183,6 +187,9 @@ class ModeMotion(Presented):
         One of `FAMILIES`.
     tether_ends : ndarray, shape (m, 2), int
         As of the system.
+    spins_about : ndarray, shape (3,), or None
+        Unit vector of the spin's axis in the orbit frame; None if the formation hangs, whose turn
+        is an orbit.
     """
 
     turns: np.ndarray
@@ -191,6 +198,7 @@ class ModeMotion(Presented):
     multiplier: complex
     family: str
     tether_ends: np.ndarray
+    spins_about: np.ndarray | None
 
     def plot(self) -> Any:
         """The mode in the turning formation, `plots.mode_shape`, a Matplotlib figure."""
@@ -198,7 +206,8 @@ class ModeMotion(Presented):
         return plots.mode_shape(plots.shown_motion(self))
 
     def _headline(self):
-        return f"{self.family} along a turn: |ρ| = {abs(self.multiplier):.6f}"
+        along = a_turn(self.spins_about is not None)
+        return f"{self.family} along {along}: |ρ| = {abs(self.multiplier):.6f}"
 
     def _facts(self):
         return {
@@ -248,6 +257,7 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
     return ModeMotion(
         np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]),
         complex(result.multiplier[which]), result.family[which], system.tether_ends,
+        system.spin_axis if result.spin_rate_ratio else None,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.system import State
-from tss_ros.core.presentation import Presented, data_frame, found
+from tss_ros.core.presentation import Presented, a_turn, data_frame, found, turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.core.stored import Stored
 
@@ -198,7 +198,7 @@ class FloquetResult(Presented, Stored):
             "distance that counts as none": self.tolerance,
             "closure residual": self.closure_residual,
             "before correction": self.initial_closure_residual,
-            "spin lost in a turn": self.spin_loss,
+            f"spin lost in {a_turn(self.spin_rate_ratio)}": self.spin_loss,
             **{
                 f"{name.replace('_', ' ')} error": getattr(self, f"{name}_error")
                 for name in ("trivial", "jordan", "det_z", "flow", "segment", "convergence")
@@ -212,7 +212,7 @@ class FloquetResult(Presented, Stored):
             "period": f"{self.period_s:.6g} s",
             **self._swings(),
             **{name: f"{x:.2e}" for name, x in numbers.items() if not math.isnan(x)},
-            "switches in the turn": self.switches,
+            f"switches in the {turn_in_words(self.spin_rate_ratio)}": self.switches,
             "tether law": law_in_words(self.tether_law, self.pushing_share),
             **({"remarks": self.message} if self.family and self.message else {}),
         }
@@ -221,7 +221,7 @@ class FloquetResult(Presented, Stored):
         """Frequencies of librations, if there are any."""
         swings = [x.imag for x, name in zip(self.exponent, self.family) if name == "libration"]
         rates = sorted({f"{x * self.period_s / (2.0 * math.pi):.6g}" for x in swings if x > 0.0})
-        return {"librations": f"{', '.join(rates)} a turn"} if rates else {}
+        return {"librations": f"{', '.join(rates)} {a_turn(0.0)}"} if rates else {}
 
 
 #: What the verdicts say that multipliers decided.
