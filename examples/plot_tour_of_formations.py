@@ -4,7 +4,8 @@ A tour of the formations of the literature
 
 The paper places its ring among other formations: chains that hang, hubs with spokes, pyramids that
 face the Earth. Each is asked about in one line. Some hold their shape, and one cannot be flown at
-all: the answer says why. On a shell the same questions are ``tss sweep vertical_chain_4`` and so on.
+all: the answer says why. On a shell the same questions are ``tss sweep vertical_chain_4`` and the
+like.
 """
 
 import sys
@@ -30,8 +31,8 @@ def ask(name):
 # Four questions
 # --------------
 #
-# A hanging chain of four, a hub with six spokes that is to face the Earth, a closed hub in the orbit
-# plane, and a double pyramid that faces the Earth.
+# A hanging chain of four, a hub with six spokes that is to face the Earth, a closed hub in the
+# orbit plane, and a double pyramid that faces the Earth.
 
 NAMES = (
     "vertical_chain_4", "hub_and_spoke_earth_facing", "closed_hub_and_spoke",
