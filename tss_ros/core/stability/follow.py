@@ -141,8 +141,7 @@ def _systems(system, parameter, spin_rate_ratio):
 
 def _own_curve(at, parameter, ends, state, longest_step, cancelled):
     """The curve of motions that begins at the start of an interval."""
-    start, stop = ends
-    system, spin = at(start)
+    (start, stop), (system, spin) = ends, at(ends[0])
     ratio = spin / system.orbit_rate_rad_s
     motion = _first(system, ratio, state, cancelled)
     equations = ClosingEquations(
