@@ -10,6 +10,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
+from tss_ros.core.model.feedback import analysed, feeds_back, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import ReferenceOrbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
@@ -17,7 +18,7 @@ from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.compilation import compile_ahead
 from tss_ros.core.motion.state import IntegratorState, Samples
 from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
-from tss_ros.core.numerics import block_lu, radau_tables
+from tss_ros.core.numerics import radau_tables
 
 #: Collocation stages used by default; the order is 13.
 STAGES = 7
@@ -74,16 +75,18 @@ class Integrator:
         turning = system.turning_rad_s(spin_rate_rad_s)
         #: Of the formation's centre, where forces in the orbit frame depend on time.
         self.orbit = None if system.autonomous else ReferenceOrbit(system)
-        self.arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
+        arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
+        self.arrays = with_feedback(arrays, system, spin_rate_rad_s)
         kind = INTEGRATORS[integrator]
-        if self.orbit:
+        if self.orbit or feeds_back(system):
             if kind == EXPLICIT:
+                why = why_not_autonomous(system) or "feedback couples all satellites"
                 raise TssError(
-                    f"integrator {integrator!r} needs forces that rest in the orbit frame, but"
-                    f" {why_not_autonomous(system)}: choose 'auto' or 'radau'"
+                    f"integrator {integrator!r} needs forces that rest in the orbit frame, of each"
+                    f" bead by itself, but {why}: choose 'auto' or 'radau'"
                 )
             kind = IMPLICIT
-        self.symbolic = block_lu.analyse(system.n, system.tether_ends)
+        self.symbolic = analysed(system)
         self.tables = radau_tables.radau(stages)
         self._table = None
         self._no_samples = self.samples(np.empty(0))

@@ -346,7 +346,8 @@ def _frozen(integrator, state, cancelled):
     """
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
-    matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
+    units = settings.speed, settings.length
+    matrix = frozen_jacobian(integrator.system, state, *units, integrator.spin)
     value, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator, state, multiplier, vectors)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.model.feedback import feeds_back
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
@@ -81,7 +82,7 @@ def _distance(turn, integrator, settled, cancelled, parts=1):
 def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> float:
     """Error of log|det| = -sum C (1/m_i + 1/m_j) (time taut), Liouville's formula.
 
-    Laws of beads that depend on the velocity add what they take.
+    Laws of beads that depend on the velocity, and feedback, add what they take.
 
     Taken over stretches so short that the determinant does not vanish in rounding: around
     slack/taut switches and spread over the turn; all of the turn where damping is weak enough.
@@ -122,13 +123,13 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
 
 def _bead_dissipation(integrator, motion):
     """Minus the trace of the beads' accelerations by velocity [1/s]."""
-    if not any(law.by_velocity for law in integrator.system.acting_laws):
+    system, symbolic = integrator.system, integrator.symbolic
+    if not (feeds_back(system) or any(law.by_velocity for law in system.acting_laws)):
         return 0.0
-    pair, n, m = integrator.symbolic.pair, integrator.system.n, integrator.system.m
-    by_r, by_v = np.empty((2, n + 2 * m, 3, 3))
-    slack = np.zeros(m, dtype=bool)
-    jacobian(integrator.arrays, pair, slack, motion.time, motion.v, motion.r, by_r, by_v)
-    return -float(np.trace(by_v.sum(axis=0)))
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    slack, state = np.zeros(system.m, dtype=bool), (motion.time, motion.v, motion.r)
+    jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
+    return -float(np.trace(by_v[: system.n].sum(axis=0)))
 
 
 def _stretches(turn, period, width):
