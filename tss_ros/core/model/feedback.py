@@ -26,6 +26,12 @@ def feeds_back(system: System) -> bool:
     return any(system.law_parameters[p.name] for p in (ROTATION_DAMPING, SHAPE_KEEPING))
 
 
+def damping_time_s(system: System) -> float:
+    """Mass of the satellites over the damping against the rigid turn [s]; 0 without any."""
+    damping = system.law_parameters[ROTATION_DAMPING.name]
+    return float(np.mean(system.mass_kg[system.is_satellite])) / damping if damping else 0.0
+
+
 def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> KernelArrays:
     """The arrays with the system's feedback, if it has one.
 

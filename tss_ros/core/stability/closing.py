@@ -129,6 +129,10 @@ class ClosingEquations:
         """The start of a vector y, in the orbit frame."""
         return from_scaled(self._undriven(float(y[-1])), self._start(y))
 
+    def lost(self, y: np.ndarray) -> float:
+        """Share of the spin that a motion loses in a turn and no feedback gives back."""
+        return self._undriven(float(y[-1])).lost(float(y[-3]))
+
     def time_s(self, integrator: Integrator) -> float:
         """[s] that is integrated."""
         return self.turns * integrator.period_s / self.symmetry.order

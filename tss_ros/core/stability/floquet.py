@@ -278,6 +278,9 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         words += f"; {turn.switches} slack/taut switches in the turn"
     if seen.never_taut:
         words += f"; never taut: {', '.join(seen.never_taut)}"
+    if loss and not integrator.lost(loss):
+        aim = integrator.arrays.aim / integrator.system.orbit_rate_rad_s
+        words += f"; feedback that aims at {aim:.8g} Omega gives the spin what is lost"
     if found.radius > SMALLEST_DRIFT:
         words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
     return _result(
