@@ -32,6 +32,13 @@ def damping_time_s(system: System) -> float:
     return float(np.mean(system.mass_kg[system.is_satellite])) / damping if damping else 0.0
 
 
+def feedback_dissipation(system: System) -> float:
+    """Minus the trace of the accelerations by velocity [1/s] that feedback adds, unlimited."""
+    beads = np.count_nonzero(system.is_satellite)
+    inverse = np.sum(1.0 / system.mass_kg[system.is_satellite])
+    return 3.0 * system.law_parameters[ROTATION_DAMPING.name] * inverse * (1.0 - 1.0 / beads)
+
+
 def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> KernelArrays:
     """The arrays with the system's feedback, if it has one.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.errors import IntegrationError
+from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
@@ -115,7 +115,10 @@ class ClosingEquations:
     def _undriven(self, p):
         if p not in self._integrators:
             system, spin = self.at(p)
-            self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
+            try:
+                self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
+            except NoSteadyState as error:  # feedback has no shape to keep there
+                raise IntegrationError(str(error)) from None
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)
         return self._integrators[p]

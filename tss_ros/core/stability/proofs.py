@@ -21,6 +21,8 @@ SEGMENTS = (3, 7)
 DECAY = 4.0
 #: Stretches spread evenly over the turn, beside those around switches, and most of the latter.
 SPREAD, MOST_AROUND_SWITCHES = 8, 40
+#: Gauss's nodes and weights in a stretch, from -1 to 1.
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def segment_error(
@@ -112,24 +114,29 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
             raise Cancelled(f"stopped at {motion.time:g} s of a turn of {period:g} s")
         if begin > motion.time:
             integrator.advance(motion, begin)
-        before, beads = motion.dissipation, _bead_dissipation(integrator, motion)
-        end = min(begin + width, period)
+        before, end = motion.dissipation, min(begin + width, period)
         part, matrix = carry_displacements(integrator, motion, np.eye(2 * half), end)
         logarithm = np.linalg.slogdet(matrix)[1]
-        beads = 0.5 * (end - begin) * (beads + _bead_dissipation(integrator, part))
+        beads = _bead_dissipation(integrator, motion, end)
         worst = max(worst, abs(logarithm + part.dissipation - before + beads))
     return worst
 
 
-def _bead_dissipation(integrator, motion):
-    """Minus the trace of the beads' accelerations by velocity [1/s]."""
+def _bead_dissipation(integrator, motion, end):
+    """Minus the trace of the beads' accelerations by velocity, integrated until a time."""
     system, symbolic = integrator.system, integrator.symbolic
     if not (feeds_back(system) or any(law.by_velocity for law in system.acting_laws)):
         return 0.0
+    none = np.empty((system.n, 3, 0))
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    slack, state = np.zeros(system.m, dtype=bool), (motion.time, motion.v, motion.r)
-    jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
-    return -float(np.trace(by_v[: system.n].sum(axis=0)))
+    slack, motion = np.zeros(system.m, dtype=bool), motion.with_variations(none, none)
+    half, total = 0.5 * (end - motion.time), 0.0
+    for time, weight in zip(motion.time + half * (NODES + 1.0), WEIGHTS):
+        integrator.advance(motion, time)
+        state = motion.time, motion.v, motion.r
+        jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
+        total -= half * weight * float(np.trace(by_v[: system.n].sum(axis=0)))
+    return total
 
 
 def _stretches(turn, period, width):
