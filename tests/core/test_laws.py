@@ -8,6 +8,7 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
+from differences import assert_variations_are_differences, differences
 from formulas import Series, interpreted
 from scipy.integrate import solve_ivp
 
@@ -81,18 +82,6 @@ def jacobian(system, arrays, taut, velocity, position, time=0.0):
         result[0, i, :, j] += by_r[k]
         result[1, i, :, j] += by_v[k]
     return result.reshape(2, 3 * system.n, 3 * system.n)
-
-
-def differences(function, x, step):
-    """Central differences of the fourth order, (outputs, inputs)."""
-    columns = []
-    for k in range(x.size):
-        h = np.zeros(x.size)
-        h[k] = step
-        h = h.reshape(x.shape)
-        near, far = function(x + h) - function(x - h), function(x + 2 * h) - function(x - 2 * h)
-        columns.append((8.0 * near - far).ravel() / (12.0 * step))
-    return np.stack(columns, 1)
 
 
 class Alone:
@@ -232,31 +221,6 @@ def test_series_of_a_bead_law_are_the_motion(law):
     taut, step = assert_series_are_the_motion(system, state, without)
     assert not taut.any()
     assert step > 10.0
-
-
-def assert_variations_are_differences(integrator, state, end, size, rtol):
-    """Of all displacements, column by column, in units of the motion's largest."""
-    system = integrator.system
-    half, settings = 3 * system.n, integrator.settings
-    scale = np.repeat([settings.speed, settings.length], half)
-    columns = (np.eye(2 * half) * scale).reshape(2, system.n, 3, 2 * half)
-    motion = integrator.begin(state).with_variations(*columns)
-    integrator.advance(motion, end)
-    assert motion.switches == 0
-    matrix = np.concatenate([motion.x_v, motion.x_r]).reshape(2 * half, -1) / scale[:, None]
-
-    def flow(x):
-        other = integrator.begin(state)
-        other.v[:] += (x[:half] * scale[:half]).reshape(-1, 3)
-        other.r[:] += (x[half:] * scale[half:]).reshape(-1, 3)
-        integrator.advance(other, end)
-        assert other.switches == 0
-        change = np.concatenate([(other.v - motion.v).ravel(), (other.r - motion.r).ravel()])
-        return change / scale
-
-    expected = differences(flow, np.zeros(2 * half), size)
-    np.testing.assert_allclose(matrix, expected, rtol=0.0, atol=rtol * np.abs(expected).max())
-    return matrix
 
 
 @pytest.mark.parametrize("kind", ["taylor", "radau"])

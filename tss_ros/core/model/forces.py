@@ -18,6 +18,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
+from tss_ros.core.model.laws.feedback import add_thrust, add_thrust_gradient
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
     acceleration_of_bead_in_sky,
@@ -115,6 +116,8 @@ def acceleration(arrays, taut, time, v, r, a):
             a[i, 0] += dy * r[i, 2]
             a[i, 1] -= dx * r[i, 2]
             a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
+    if arrays.satellite.size > 0:
+        add_thrust(arrays, v, r, a)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -140,9 +143,10 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
     ----------
     arrays, taut, time, v, r
         As for `acceleration`.
-    pair : ndarray, shape (m, 2)
-        Where the blocks (i, j) and (j, i) of each tether are stored (`block_lu.Symbolic.pair`).
-    by_r, by_v : ndarray, shape (at least n + 2m, 3, 3)
+    pair : ndarray, shape (m, 2) or more
+        Where the blocks (i, j) and (j, i) of each tether are stored (`block_lu.Symbolic.pair`);
+        then those of each pair of satellites if feedback couples them.
+    by_r, by_v : ndarray, shape (at least as many as blocks, 3, 3)
         Overwritten: da/dr [1/s^2] and da/dv [1/s]; block i < n is the diagonal one of bead i.
     """
     by_r[:] = 0.0
@@ -164,6 +168,8 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             by_r[i, 1, 2] -= dx
             by_r[i, 2, 0] -= dy
             by_r[i, 2, 1] += dx
+    if arrays.satellite.size > 0:
+        add_thrust_gradient(arrays, pair[arrays.ends.shape[0] :], v, r, by_r, by_v)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]

@@ -38,6 +38,15 @@ class KernelArrays(NamedTuple):
         Which of `laws.BEAD_LAWS` act, one bit each.
     constants : tuple of float
         Values of `laws.LAW_PARAMETERS`.
+    satellite : ndarray, shape (n,)
+        One over the number of satellites for each of them, 0 for other beads; empty where no
+        feedback acts, see `laws.feedback`.
+    shape : ndarray, shape (n, 3)
+        [m] places in the steady shape from the mean of the satellites, which the feedback keeps.
+    aim : float
+        omega [rad/s] about z that the feedback aims at.
+    gains : tuple of float
+        Values of `laws.feedback.PARAMETERS`.
     orbit_starts : ndarray, shape (k + 1,)
         [s] where the pieces of the orbit's table begin, and where the last one ends; empty on a
         circle, which needs no table.
@@ -68,6 +77,10 @@ class KernelArrays(NamedTuple):
     tension: int
     acting: int
     constants: tuple[float, ...]
+    satellite: np.ndarray
+    shape: np.ndarray
+    aim: float
+    gains: tuple[float, float, float]
     orbit_starts: np.ndarray
     orbit_table: np.ndarray
     orbit_period: float
@@ -79,6 +92,8 @@ class KernelArrays(NamedTuple):
 
 def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
     """Lay a `System` out for the kernels, on a circle; `orbits.ReferenceOrbit` knows others.
+
+    Without feedback, which `feedback.with_feedback` adds.
 
     Parameters
     ----------
@@ -107,6 +122,10 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         tension=TENSION_INDEX[system.tether_law],
         acting=sum(1 << i for i, acts in enumerate(system.acting) if acts),
         constants=tuple(system.law_parameters[p.name] for p in LAW_PARAMETERS),
+        satellite=np.empty(0),
+        shape=np.empty((0, 3)),
+        aim=0.0,
+        gains=(0.0, 0.0, 0.0),
         orbit_starts=np.empty(0),
         orbit_table=np.empty((0, 0, 3)),
         orbit_period=0.0,

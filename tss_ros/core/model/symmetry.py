@@ -86,6 +86,7 @@ def cyclic_symmetry(system: System) -> Symmetry:
             np.max(distance) < 1e-9 * size
             and np.unique(successor).size == system.n
             and np.array_equal(system.mass_kg[successor], system.mass_kg)
+            and np.array_equal(system.is_satellite[successor], system.is_satellite)
             and np.array_equal(_tethers(system, successor), tethers)
         ):
             return Symmetry(order, successor, system.spin_axis)

@@ -10,6 +10,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
+from tss_ros.core.model.feedback import analysed, damping_time_s, feeds_back, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
@@ -17,7 +18,7 @@ from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.compilation import compile_ahead
 from tss_ros.core.motion.state import IntegratorState, Samples
 from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
-from tss_ros.core.numerics import block_lu, radau_tables
+from tss_ros.core.numerics import radau_tables
 
 #: Collocation stages used by default; the order is 13.
 STAGES = 7
@@ -74,16 +75,18 @@ class Integrator:
         turning = system.turning_rad_s(spin_rate_rad_s)
         #: Of the formation's centre, where forces in the orbit frame depend on time.
         self.orbit = None if system.autonomous else reference_orbit(system)
-        self.arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
+        arrays = self.orbit.arrays(turning) if self.orbit else kernel_arrays(system, turning)
+        self.arrays = with_feedback(arrays, system, spin_rate_rad_s)
         kind = INTEGRATORS[integrator]
-        if self.orbit:
+        if self.orbit or feeds_back(system):
             if kind == EXPLICIT:
+                why = why_not_autonomous(system) or "feedback couples all satellites"
                 raise TssError(
-                    f"integrator {integrator!r} needs forces that rest in the orbit frame, but"
-                    f" {why_not_autonomous(system)}: choose 'auto' or 'radau'"
+                    f"integrator {integrator!r} needs forces that rest in the orbit frame, of each"
+                    f" bead by itself, but {why}: choose 'auto' or 'radau'"
                 )
             kind = IMPLICIT
-        self.symbolic = block_lu.analyse(system.n, system.tether_ends)
+        self.symbolic, self._s_of_feedback = analysed(system), damping_time_s(system)
         self.tables = radau_tables.radau(stages)
         self._table = None
         self._no_samples = self.samples(np.empty(0))
@@ -122,9 +125,16 @@ class Integrator:
         return self.with_drive((x * drive, y * drive, z * drive))
 
     def with_drive(self, drive: tuple[float, float, float]) -> Integrator:
-        """The same with a drive, an angular acceleration [1/s^2] about x, y and z."""
+        """The same with a drive, an angular acceleration [1/s^2] about x, y and z.
+
+        Where feedback damps the spin to a rate it gives as much, by aiming at another one.
+        """
         other, (x, y, z) = copy.copy(self), map(float, drive)
-        other.arrays = self.arrays._replace(drive=z, drive_across=(x, y))
+        if self._s_of_feedback:
+            aim = self.arrays.spin + z * self._s_of_feedback
+            other.arrays = self.arrays._replace(aim=aim)
+        else:
+            other.arrays = self.arrays._replace(drive=z, drive_across=(x, y))
         if x or y:
             other.settings = self.settings._replace(kind=IMPLICIT)
         return other
@@ -132,7 +142,13 @@ class Integrator:
     @property
     def drive(self) -> tuple[float, float, float]:
         """The drive [1/s^2] about x, y and z."""
+        if self._s_of_feedback:
+            return 0.0, 0.0, (self.arrays.aim - self.arrays.spin) / self._s_of_feedback
         return (*self.arrays.drive_across, self.arrays.drive)
+
+    def lost(self, share: float) -> float:
+        """The share of the spin lost in a turn that only a drive gives back: no feedback does."""
+        return 0.0 if self._s_of_feedback else share
 
     def begin(self, state: State) -> IntegratorState:
         """Start an `IntegratorState` at time 0 from a `State` in the orbit frame.

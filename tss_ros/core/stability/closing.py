@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.errors import IntegrationError
+from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
@@ -117,7 +117,10 @@ class ClosingEquations:
         if p not in self._integrators:
             system, spin = self.at(p)
             require_autonomous(system, "a family of periodic motions")
-            self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
+            try:
+                self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
+            except NoSteadyState as error:  # feedback has no shape to keep there
+                raise IntegrationError(str(error)) from None
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)
         return self._integrators[p]
@@ -130,6 +133,10 @@ class ClosingEquations:
     def state(self, y: np.ndarray) -> State:
         """The start of a vector y, in the orbit frame."""
         return from_scaled(self._undriven(float(y[-1])), self._start(y))
+
+    def lost(self, y: np.ndarray) -> float:
+        """Share of the spin that a motion loses in a turn and no feedback gives back."""
+        return self._undriven(float(y[-1])).lost(float(y[-3]))
 
     def time_s(self, integrator: Integrator) -> float:
         """[s] that is integrated."""

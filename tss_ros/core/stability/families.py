@@ -223,8 +223,9 @@ class _Front:
             if before.tangent[-1] * self._sense > 0.0:
                 self._reach(before, middle)
                 self._folds[-1] = (self._farthest, middle.parameter)
-        if point.solution.y[-3] > MOST_LOSS:
-            last = self._bisected(before, point, lambda p: p.solution.y[-3] <= MOST_LOSS)
+        lost = self._curve.equations.lost
+        if lost(point.solution.y) > MOST_LOSS:
+            last = self._bisected(before, point, lambda p: lost(p.solution.y) <= MOST_LOSS)
             self._reach(before, last)
             raise Ended(
                 f"damping takes more than {MOST_LOSS:.0%} of the spin in a turn"

@@ -282,6 +282,9 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         words += f"; {turn.switches} slack/taut switches in the turn"
     if seen.never_taut:
         words += f"; never taut: {', '.join(seen.never_taut)}"
+    if loss and not integrator.lost(loss):
+        aim = integrator.arrays.aim / integrator.system.orbit_rate_rad_s
+        words += f"; feedback that aims at {aim:.8g} Omega gives the spin what is lost"
     if found.radius > SMALLEST_DRIFT:
         words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
     return _result(
@@ -350,7 +353,8 @@ def _frozen(integrator, state, cancelled):
     """
     missed = closure(integrator, state, cancelled)
     settings = integrator.settings
-    matrix = frozen_jacobian(integrator.system, state, settings.speed, settings.length)
+    units = settings.speed, settings.length
+    matrix = frozen_jacobian(integrator.system, state, *units, integrator.spin)
     value, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator, state, multiplier, vectors)

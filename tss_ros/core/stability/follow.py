@@ -232,7 +232,7 @@ class Run:
             while len(self.points) < most_points:
                 after = self._seen(self.curve.advance())
                 self._locate(before, after)
-                if after.point.solution.y[-3] > families.MOST_LOSS:
+                if self.equations.lost(after.point.solution.y) > families.MOST_LOSS:
                     ended = (
                         f"damping takes more than {families.MOST_LOSS:.0%} of the spin in a turn"
                         f" beyond {before.point.parameter:.6g}"

@@ -94,10 +94,10 @@ def refused(system: System, ratio: float, motion: Closed) -> str:
     """
     if not motion.residual <= CLOSED:
         return f"the best turn closes to {motion.residual:.1e} only"
-    if motion.spin_loss > families.MOST_LOSS:
-        return f"the best turn loses {motion.spin_loss:.2%} of its spin"
     spin = system.spin_rate_rad_s(ratio)
     integrator = Integrator(system, spin, families.RTOL, families.size_of(system))
+    if integrator.lost(motion.spin_loss) > families.MOST_LOSS:
+        return f"the best turn loses {motion.spin_loss:.2%} of its spin"
     refusal = look(driven_for(integrator, motion), motion.state).refusal
     return f"the only motion found is refused: {refusal}" if refusal else ""
 

@@ -3,13 +3,17 @@
 import numpy as np
 
 from tss_ros.core.model import forces
+from tss_ros.core.model.feedback import analysed, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import State, System
-from tss_ros.core.numerics import block_lu
 
 
 def frozen_jacobian(
-    system: System, state: State, speed: float = 1.0, length: float = 1.0
+    system: System,
+    state: State,
+    speed: float = 1.0,
+    length: float = 1.0,
+    spin_rate_rad_s: float = 0.0,
 ) -> np.ndarray:
     """J_0 = dF/dx, Eq. (35), of Eq. (52) in the orbit frame at t = 0, Eq. (33).
 
@@ -21,6 +25,8 @@ def frozen_jacobian(
     state : State
     speed, length : float
         Units of velocity [m/s] and position [m]; 1 gives SI.
+    spin_rate_rad_s : float
+        omega that feedback aims at.
 
     Returns
     -------
@@ -28,8 +34,8 @@ def frozen_jacobian(
         [1/s] in these units.
     """
     n = system.n
-    arrays = kernel_arrays(system, 0.0)
-    symbolic = block_lu.analyse(n, system.tether_ends)
+    arrays = with_feedback(kernel_arrays(system, 0.0), system, spin_rate_rad_s)
+    symbolic = analysed(system)
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
     taut = forces.acting_tethers(system, state.position_m, state.velocity_m_s)
     forces.jacobian(

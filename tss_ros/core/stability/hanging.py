@@ -16,6 +16,7 @@ import scipy.sparse
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import EQUILIBRIUM, InitialState
 from tss_ros.core.model.equilibria import equilibrium, imbalance, laws_at_rest
+from tss_ros.core.model.feedback import feedback_dissipation
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -196,6 +197,7 @@ def _proofs(integrator, start, exponent, vectors, cancelled):
     taut = tether_state(system, start.position_m, start.velocity_m_s)[2] | system.bilateral
     damping = system.damping_n_s_per_m * taut
     trace = -np.sum(damping * (inverse[ends[:, 0]] + inverse[ends[:, 1]]))
+    trace -= feedback_dissipation(system)
     return {
         "segment_error": float(np.max(missed / np.maximum(np.abs(after), 1.0))),
         "liouville_error": float(abs(np.sum(exponent.real) - trace) * period),

@@ -113,7 +113,9 @@ def judge(
     for part in (above, ~above):
         trivial = np.max(on_circle[simple & part], initial=0.0)
         tolerance[part] = np.maximum(tolerance, TRIVIAL_ERRORS * np.maximum(trivial, error))[part]
-    jordan = float(np.max(on_circle[blocks], initial=0.0))
+    # A spin that feedback holds decays to its rate: there is no block then.
+    held = (family == "spin") & (np.abs(multiplier) < 1.0 - radius)
+    jordan = float(np.max(on_circle[blocks & ~held], initial=0.0))
     # A double multiplier at 1 splits to both sides, so this is for those outside alone.
     near = (from_one <= radius) & (np.abs(multiplier) > 1.0)
     tolerance[near] = np.maximum(tolerance[near], min(JORDAN_ERRORS * jordan, radius))

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
+from tss_ros.core.model.feedback import feeds_back
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
@@ -20,6 +21,8 @@ SEGMENTS = (3, 7)
 DECAY = 4.0
 #: Stretches spread evenly over the turn, beside those around switches, and most of the latter.
 SPREAD, MOST_AROUND_SWITCHES = 8, 40
+#: Gauss's nodes and weights in a stretch, from -1 to 1.
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 def segment_error(
@@ -82,7 +85,7 @@ def _distance(turn, integrator, settled, cancelled, parts=1):
 def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> float:
     """Error of log|det| = -sum C (1/m_i + 1/m_j) (time taut), Liouville's formula.
 
-    Laws of beads that depend on the velocity add what they take.
+    Laws of beads that depend on the velocity, and feedback, add what they take.
 
     Taken over stretches so short that the determinant does not vanish in rounding: around
     slack/taut switches and spread over the turn; all of the turn where damping is weak enough.
@@ -112,24 +115,29 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
             raise Cancelled(f"stopped at {motion.time:g} s of a turn of {period:g} s")
         if begin > motion.time:
             integrator.advance(motion, begin)
-        before, beads = motion.dissipation, _bead_dissipation(integrator, motion)
-        end = min(begin + width, period)
+        before, end = motion.dissipation, min(begin + width, period)
         part, matrix = carry_displacements(integrator, motion, np.eye(2 * half), end)
         logarithm = np.linalg.slogdet(matrix)[1]
-        beads = 0.5 * (end - begin) * (beads + _bead_dissipation(integrator, part))
+        beads = _bead_dissipation(integrator, motion, end)
         worst = max(worst, abs(logarithm + part.dissipation - before + beads))
     return worst
 
 
-def _bead_dissipation(integrator, motion):
-    """Minus the trace of the beads' accelerations by velocity [1/s]."""
-    if not any(law.by_velocity for law in integrator.system.acting_laws):
+def _bead_dissipation(integrator, motion, end):
+    """Minus the trace of the beads' accelerations by velocity, integrated until a time."""
+    system, symbolic = integrator.system, integrator.symbolic
+    if not (feeds_back(system) or any(law.by_velocity for law in system.acting_laws)):
         return 0.0
-    pair, n, m = integrator.symbolic.pair, integrator.system.n, integrator.system.m
-    by_r, by_v = np.empty((2, n + 2 * m, 3, 3))
-    slack = np.zeros(m, dtype=bool)
-    jacobian(integrator.arrays, pair, slack, motion.time, motion.v, motion.r, by_r, by_v)
-    return -float(np.trace(by_v.sum(axis=0)))
+    none = np.empty((system.n, 3, 0))
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    slack, motion = np.zeros(system.m, dtype=bool), motion.with_variations(none, none)
+    half, total = 0.5 * (end - motion.time), 0.0
+    for time, weight in zip(motion.time + half * (NODES + 1.0), WEIGHTS):
+        integrator.advance(motion, time)
+        state = motion.time, motion.v, motion.r
+        jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
+        total -= half * weight * float(np.trace(by_v[: system.n].sum(axis=0)))
+    return total
 
 
 def _stretches(turn, period, width):

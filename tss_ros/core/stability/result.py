@@ -59,8 +59,10 @@ class FloquetResult(Presented, Stored):
         speed.
     spin_loss : float
         Share of the spin that damping takes in a turn. The motion analysed closes because a drive
-        gives it back; the true one slows down by so much. 0 where no drive was sought: without
-        correction, for "frozen" and for leading multipliers. NaN where no motion was found.
+        gives it back; the true one slows down by so much. Feedback that damps against the rigid
+        turn gives it back itself, by aiming at a little more than the rate. 0 where no drive was
+        sought: without correction, for "frozen" and for leading multipliers. NaN where no motion
+        was found.
     initial_closure_residual : float
         The same for the start as given, before any correction; infinite if that turn cannot be
         integrated.

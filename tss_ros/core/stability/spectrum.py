@@ -70,7 +70,7 @@ def spectrum(
     residual : float
         Of the equations that the motion was to solve.
     loss : float
-        Share of the spin that the drive gives in a turn.
+        Share of the spin that the drive, or feedback, gives in a turn.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def spectrum(
         left = matrix @ before - after
         error = flow_error = float(np.max(np.abs(left)) / np.max(np.abs(before)))
     ratio = integrator.spin / integrator.system.orbit_rate_rad_s
-    drift = DRIVEN * abs(ratio) * loss
+    drift = DRIVEN * abs(ratio) * integrator.lost(loss)
     radius = drift_radius(residual, drift, error * float(np.linalg.norm(matrix, 2)))
     above = planar & (vectors[2::3] != 0.0).any(axis=0)
     judgement = judge(multiplier, family, radius, True, drift=drift, above=above)

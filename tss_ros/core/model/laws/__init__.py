@@ -2,6 +2,7 @@
 
 from tss_ros.core.model.laws import (
     drag,
+    feedback,
     gravity,
     kelvin_voigt,
     oblateness,
@@ -18,9 +19,10 @@ TETHER_LAWS: tuple[TetherLaw, ...] = (kelvin_voigt.LAW, tension_only.LAW, stiffe
 BEAD_LAWS: tuple[BeadLaw, ...] = (
     gravity.LAW, gravity.LINEAR_LAW, oblateness.LAW, drag.LAW, solar_pressure.LAW,
 )  # fmt: skip
-#: All parameters of laws, each once, and the elements of the orbit.
+#: All parameters of laws, each once, those of the feedback and the elements of the orbit.
 LAW_PARAMETERS: tuple[LawParameter, ...] = (
     *dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS) for p in law.parameters),
+    *feedback.PARAMETERS,
     *orbit.ELEMENTS,
 )
 #: Laws that may be chosen by their names alone: perturbations of the orbit.
