@@ -15,6 +15,7 @@ COMMANDS = {
         "logger": ("logger_node", "record what a simulator publishes"),
         "stability_node": ("stability_node", "answer questions about stability"),
         "reproduce": ("reproduce", "redo the paper's figures and judge its claims"),
+        "literature": ("literature", "judge what other papers claim of other formations"),
     },
     "Stability": {
         "stability": ("stability", "ask a running stability node about spin rates"),

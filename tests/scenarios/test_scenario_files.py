@@ -1,6 +1,5 @@
 """Scenario files as people write them: slips are named, doubtful values are warned of."""
 
-import math
 import subprocess
 import sys
 import warnings
@@ -117,11 +116,11 @@ def test_a_scenario_of_every_shape_is_shipped_and_moves():
     for name in scenario.shipped():
         of = scenario.load(name)
         shapes.setdefault(of.formation, of)
-    assert shapes.keys() == FORMATIONS.keys()
+    assert shapes.keys() == {*FORMATIONS, "graph"}
     for shape, of in shapes.items():
         system = of.build()
         start = initial_state(system, of.spin_rate_ratio)
-        turn_s = 2.0 * math.pi / abs(system.spin_rate_rad_s(of.spin_rate_ratio))
+        turn_s = system.period_s(of.spin_rate_ratio)
         position, _ = Propagator(system, of.spin_rate_ratio, start).sample([0.0, turn_s])
         before, after = np.linalg.norm(position, axis=2)
         assert np.allclose(after, before, atol=0.05 * before.max()), shape

@@ -14,9 +14,9 @@ from tss_ros.core.model.laws.feedback import (
     PARAMETERS,
     ROTATION_DAMPING,
     SHAPE_KEEPING,
-    add_thrust,
 )
 from tss_ros.core.model.system import State, System
+from tss_ros.core.model.thrusting import add_thrust
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.block_lu import Symbolic
 

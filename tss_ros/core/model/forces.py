@@ -18,7 +18,6 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
-from tss_ros.core.model.laws.feedback import add_thrust, add_thrust_gradient
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
     acceleration_of_bead_in_sky,
@@ -32,6 +31,7 @@ from tss_ros.core.model.made import (
 )
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
+from tss_ros.core.model.thrusting import add_thrust, add_thrust_gradient
 from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
 
 

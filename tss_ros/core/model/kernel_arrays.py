@@ -40,7 +40,7 @@ class KernelArrays(NamedTuple):
         Values of `laws.LAW_PARAMETERS`.
     satellite : ndarray, shape (n,)
         One over the number of satellites for each of them, 0 for other beads; empty where no
-        feedback acts, see `laws.feedback`.
+        feedback acts, see `model.thrusting`.
     shape : ndarray, shape (n, 3)
         [m] places in the steady shape from the mean of the satellites, which the feedback keeps.
     aim : float

@@ -71,10 +71,8 @@ def compute_floquet(
         "frozen": the Jacobian at t = 0 as if the configuration stood still, Eqs. (34)-(47), the
         paper's analytic method; it shows no critical rate.
     state : State, optional
-        Next to the motion that is meant; that of `formation_motion` if not given: about the orbit
-        normal the one of the formation's own family, which comes down from fast spin without a
-        break, else the one next to the averaged configuration. Without correction, and for
-        "frozen", the start itself, `initial_state` if not given.
+        Next to the motion that is meant; that of `formation_motion` if not given. Without
+        correction, and for "frozen", the start itself, `initial_state` if not given.
     correct : bool
         Correct the start to a periodic motion first ("monodromy" only).
     rtol : float
@@ -106,10 +104,7 @@ def compute_floquet(
         how = method, correct, certify, leading
         return floquet_over_orbits(system, spin_rate_ratio, state, rtol, how, cancelled)
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    if leading is None and system.n > MOST_BEADS:
-        leading = LEADING
-    if leading is not None and not 1 <= leading < 6 * system.n:
-        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
+    leading = _how_many(system, leading)
     if not spin:
         return hanging_floquet(system, method, state, correct, rtol, certify, leading, cancelled)
     try:
@@ -132,6 +127,15 @@ def compute_floquet(
         return _of_motion(integrator, start, state, certify, cancelled)
     except IntegrationError as error:
         return _without_motion(method, system, spin, start, str(error))
+
+
+def _how_many(system, leading):
+    """How many leading multipliers are sought, None for all."""
+    if leading is None and system.n > MOST_BEADS:
+        return LEADING
+    if leading is not None and not 1 <= leading < 6 * system.n:
+        raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
+    return leading
 
 
 def _of_motion(integrator, start, state, certify, cancelled):
