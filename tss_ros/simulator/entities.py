@@ -22,6 +22,7 @@ from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 
 from tss_ros.core import System, TssError
+from tss_ros.core.model.feedback import with_feedback
 from tss_ros.core.model.forces import acceleration, acting_tethers
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.ros.messages import stamp
@@ -95,13 +96,20 @@ def info(system: System, index: int) -> EntityInfo:
 
 
 def states(
-    system: System, sample: Sample, indices: Iterable[int], frame_id: str
+    system: System,
+    spin_rate_ratio: float,
+    sample: Sample,
+    indices: Iterable[int],
+    frame_id: str,
 ) -> list[EntityState]:
     """States of entities, as messages."""
     r, v = sample.position_m, sample.velocity_m_s
     a = np.empty_like(r)
     # Without spin the turning frame of the forces is the orbit frame.
-    acceleration(kernel_arrays(system, 0.0), acting_tethers(system, r, v), 0.0, v, r, a)
+    arrays = with_feedback(
+        kernel_arrays(system, 0.0), system, system.spin_rate_rad_s(spin_rate_ratio)
+    )
+    acceleration(arrays, acting_tethers(system, r, v), 0.0, v, r, a)
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))
