@@ -24,6 +24,7 @@ EXECUTABLES = {
     "demo": "runs.demo:main",
     "reproduce": "reproduction.reproduce:main",
     "literature": "reproduction.literature_report:main",
+    "feedback": "reproduction.feedback_report:main",
     "review": "review.review:main",
     "page": "pages.page:main",
     "recover": "bags.recover:main",

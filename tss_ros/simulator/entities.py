@@ -22,6 +22,7 @@ from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 
 from tss_ros.core import System, TssError
+from tss_ros.core.model.feedback import with_feedback
 from tss_ros.core.model.forces import acceleration, acting_tethers
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit
@@ -96,7 +97,11 @@ def info(system: System, index: int) -> EntityInfo:
 
 
 def states(
-    system: System, sample: Sample, indices: Iterable[int], frame_id: str
+    system: System,
+    spin_rate_ratio: float,
+    sample: Sample,
+    indices: Iterable[int],
+    frame_id: str,
 ) -> list[EntityState]:
     """States of entities, as messages."""
     r, v = sample.position_m, sample.velocity_m_s
@@ -104,7 +109,9 @@ def states(
     # Without spin the turning frame of the forces is the orbit frame.
     taut = acting_tethers(system, r, v)
     if system.autonomous:
-        acceleration(kernel_arrays(system, 0.0), taut, 0.0, v, r, a)
+        spin = system.spin_rate_rad_s(spin_rate_ratio)
+        arrays = with_feedback(kernel_arrays(system, 0.0), system, spin)
+        acceleration(arrays, taut, 0.0, v, r, a)
     else:
         a = reference_orbit(system).relative_acceleration(sample.time_ns / 1e9, taut, v, r)
     messages = []

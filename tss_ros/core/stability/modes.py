@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.feedback import feeds_back
 from tss_ros.core.model.frames import crossed, turn_to
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Integrator
@@ -122,10 +123,14 @@ def label(
     along = _along(integrator, state, axis, weight, halves) / whole
     at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
     sure = (along > 0.5) & (np.abs(exponent) < NEAR_ONE)
-    take(FAMILIES[1], at_one, 2, sure, ~above if planar else alive)
+    # Feedback may let spin and tilt decay until they are lost: then nothing takes their place.
+    fed_back = feeds_back(integrator.system)
+    there = (along > 0.5) | (np.abs(exponent) < NEAR_ONE) | (not fed_back)
+    take(FAMILIES[1], at_one, 2, sure, there & (~above if planar else alive))
     tilts = _tilts(integrator.system.mass_kg, state.position_m, axis, weight)
     tilted = _one_in_resonance(multiplier, _share(tilts, halves) / whole)
-    take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, above if planar else alive)
+    there = (tilted > 0.5) | (not fed_back)
+    take(FAMILIES[2], tilted, 2 * len(tilts), tilted > 0.5, there & (above if planar else alive))
     return names
 
 
