@@ -31,6 +31,7 @@ from tss_ros.core.model.made import (
 )
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
+from tss_ros.core.model.thrust import add_thrust
 from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
 
 
@@ -115,6 +116,8 @@ def acceleration(arrays, taut, time, v, r, a):
             a[i, 0] += dy * r[i, 2]
             a[i, 1] -= dx * r[i, 2]
             a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
+    if arrays.thrust.size > 0:
+        add_thrust(arrays, time, a)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
