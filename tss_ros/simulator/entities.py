@@ -26,7 +26,7 @@ from tss_ros.core.model.forces import acceleration, acting_tethers
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.ros.messages import stamp
 from tss_ros.simulator.control import Code, Refused
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.simulation import Simulation
 
 #: Largest component of a position [m] and of a velocity [m/s] that an entity may be given.
 MAX_POSITION_M, MAX_VELOCITY_M_S = 1e6, 1e4
@@ -94,14 +94,17 @@ def info(system: System, index: int) -> EntityInfo:
     )
 
 
-def states(
-    system: System, sample: Sample, indices: Iterable[int], frame_id: str
-) -> list[EntityState]:
+def states(simulation: Simulation, indices: Iterable[int], frame_id: str) -> list[EntityState]:
     """States of entities, as messages."""
+    system, sample = simulation.setup.system, simulation.newest
     r, v = sample.position_m, sample.velocity_m_s
     a = np.empty_like(r)
     # Without spin the turning frame of the forces is the orbit frame.
-    acceleration(kernel_arrays(system, 0.0), acting_tethers(system, r, v), 0.0, v, r, a)
+    acting, arrays = simulation.acting, kernel_arrays(system, 0.0)
+    spin_rate_rad_s = system.spin_rate_rad_s(simulation.setup.spin_rate_ratio)
+    arrays = acting.in_arrays(arrays, system, spin_rate_rad_s)
+    taut = acting_tethers(system, r, v) & ~acting.cut
+    acceleration(arrays, taut, sample.time_ns / 1e9, v, r, a)
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

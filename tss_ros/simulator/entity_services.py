@@ -65,8 +65,7 @@ class EntityServices:
         return entities.matching(self._system, newest.position_m, request.filters)
 
     def _states(self, indices):
-        newest = self._control.simulation.newest
-        return entities.states(self._system, newest, indices, self._frame_id)
+        return entities.states(self._control.simulation, indices, self._frame_id)
 
     def _get_entities(self, answer, request, response):
         response.entities = [self._system.bead_name[i] for i in self._matching(request)]

@@ -78,6 +78,11 @@ class Commands(NamedTuple):
         """Whether a force acts."""
         return bool(self.force_n.any())
 
+    @property
+    def acts(self) -> bool:
+        """Whether there is anything but what acts without commands."""
+        return self.pushes or bool(self.cut.any())
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Commands) and all(map(np.array_equal, self, other))
 

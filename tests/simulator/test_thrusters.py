@@ -1,0 +1,230 @@
+"""Thrusters over the middleware: real controllers, real commands, and the same run once more."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+import ros_harness
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_harness import motion, time_ns
+from simulation_interfaces.msg import Result
+from simulation_interfaces.srv import GetEntityState, ResetSimulation, StepSimulation
+from tss_interfaces.msg import AppliedWrenches
+from tss_interfaces.srv import CutTether, RestoreSnapshot, SaveSnapshot
+
+from tss_ros.bags.recording import read_bag
+from tss_ros.bags.verify import verify
+from tss_ros.bags.wrenches import read_commands
+from tss_ros.core import TssError
+from tss_ros.simulator import straight
+
+PERIOD_S = 2.0
+GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 5.0, "disturbance_seed": 3}
+LATCHED = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def wrench(force=(0.0, 0.0, 0.0), frame="", stamp=None, torque=(0.0, 0.0, 0.0)):
+    message = WrenchStamped(
+        wrench=Wrench(
+            force=Vector3(**dict(zip("xyz", force))), torque=Vector3(**dict(zip("xyz", torque)))
+        )
+    )
+    message.header.frame_id = frame
+    if stamp is not None:
+        message.header.stamp = stamp
+    return message
+
+
+class Pilot:
+    """A controller: it sends wrenches and hears what is applied."""
+
+    def __init__(self, simulator, names=("satellite_1", "satellite_2", "satellite_3")):
+        self.sim, self.applied = simulator, []
+        node = simulator.node
+        self.publishers = {
+            name: node.create_publisher(WrenchStamped, f"/sim_node/{name}/cmd_wrench", 1000)
+            for name in names
+        }
+        node.create_subscription(AppliedWrenches, "/applied_wrenches", self.applied.append, LATCHED)
+        simulator.spin_until(
+            lambda: all(p.get_subscription_count() for p in self.publishers.values()),
+            ros_harness.START_S, "the topics of commands",
+        )  # fmt: skip
+
+    def send(self, *arguments, satellite="satellite_1", **options):
+        self.publishers[satellite].publish(wrench(*arguments, **options))
+
+    def step(self, count=1):
+        """Take steps, and return the state after them."""
+        self.sim.do(StepSimulation, steps=count)
+        step = self.sim.beads[-1].step if self.sim.beads else 0
+        del step
+        return self.sim.settled()
+
+
+@pytest.fixture
+def pilot(start, client):
+    """A controller of a paused simulator that goes as fast as it can."""
+    process = start("sim_node", start_paused=True, time_scale=0, **GIVEN)
+    simulator = ros_harness.Simulator(*client)
+    simulator.join()
+    simulator.process, simulator.start = process, start
+    yield Pilot(simulator)
+    assert process.running and process.stop() == 0
+    assert "Traceback" not in process.stderr, process.stderr
+
+
+def test_commands_hold_from_the_step_that_is_asked_for_next(pilot):
+    first = pilot.step(3)
+    pilot.send((0.5, 0.0, -0.25), frame="inertial")
+    pilot.step(2)
+    pilot.send((0.0, 1.0, 0.0), satellite="satellite_2", frame="spinning")
+    pilot.send((0.0, 0.0, 0.0))
+    pilot.step(1)
+    assert [(m.step, time_ns(m.header.stamp) / 1e9) for m in pilot.applied] == [
+        (first.step + 1, 6.0), (first.step + 3, 10.0)
+    ]  # fmt: skip
+    one, two = pilot.applied
+    assert (list(one.satellite), list(one.frame), list(one.force_n), list(one.cut_tether)) == (
+        ["satellite_1"], ["inertial"], [0.5, 0.0, -0.25], []
+    )  # fmt: skip
+    assert (list(two.satellite), list(two.frame)) == (["satellite_2"], ["spinning"])
+    assert list(two.force_n) == [0.0, 1.0, 0.0] and one.run == two.run == pilot.sim.run
+    late = []
+    pilot.sim.node.create_subscription(AppliedWrenches, "/applied_wrenches", late.append, LATCHED)
+    pilot.sim.spin_until(lambda: len(late) == 2, 10, "what acts, for those who come late")
+    assert late == pilot.applied
+    # The force shows in the acceleration that the simulator tells: 1 N on 100 kg.
+    before = pilot.sim.do(GetEntityState, entity="satellite_2").state.acceleration.linear
+    pilot.send(satellite="satellite_2")
+    pilot.step(1)
+    after = pilot.sim.do(GetEntityState, entity="satellite_2").state.acceleration.linear
+    assert 0.005 < math.dist(*[(a.x, a.y, a.z) for a in (before, after)]) < 0.02
+
+
+def test_hostile_commands_are_refused_with_a_warning_and_change_nothing(pilot):
+    plain = []
+    for _ in range(3):
+        plain.append(motion(pilot.step(5)))
+    pilot.sim.do(ResetSimulation)
+    del pilot.sim.beads[:]
+    pilot.sim.settled()
+    nan, hour = math.nan, 3600
+    hostile = [
+        ({"force": (nan, 0.0, 0.0)}, "force is [nan"),
+        ({"force": (0.0, math.inf, 0.0)}, "force is [0.0, inf"),
+        ({"force": (1e30, 0.0, 0.0)}, "allowed: -1e+06 to 1e+06 N"),
+        ({"frame": "base_link"}, "frame_id is 'base_link'; allowed: orbit, inertial, spinning"),
+        ({"torque": (0.0, 0.0, 1e-9)}, "torque is [0.0, 0.0, 1e-09]; allowed: 0"),
+        ({"torque": (nan, 0.0, 0.0)}, "torque is [nan"),
+        ({"stamp": Time(sec=2**31 - 1)}, "stamp is 2.14748365e+09 s; allowed: up to 86400 s"),
+    ]
+    # One warning for each satellite in a while: three of these are seen as lines.
+    for k, (options, _) in enumerate(hostile):
+        pilot.send(**{"force": (1.0, 0.0, 0.0), **options}, satellite=f"satellite_{k % 3 + 1}")
+    again = [motion(pilot.step(5)) for _ in range(3)]
+    assert again == plain and not pilot.applied
+    for _, said in hostile[:3]:
+        pilot.sim.process.wait_for_line(said)
+    assert pilot.sim.process.stderr.count("command refused") == 3
+    # Late stamps count as the next step; a flood of good commands leaves the last one.
+    for i in range(3000):
+        pilot.send((i / 1000.0, 0.0, 0.0), stamp=Time(sec=1))
+        if i % 100 == 0:
+            pilot.sim.spin_until(lambda: True, 1, "")
+    pilot.step(1)
+    assert list(pilot.applied[-1].force_n) == [2.999, 0.0, 0.0] and len(pilot.applied) == 1
+    pilot.send((5.0, 0.0, 0.0), stamp=Time(sec=hour))
+    pilot.step(1)
+    assert len(pilot.applied) == 1
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"force": (1.0, math.nan, 0.0)}, "force is [1.0, nan, 0.0]; allowed: -1e+06 to 1e+06"),
+    ({"frame": "map"}, "frame_id is 'map'; allowed: orbit, inertial, spinning, or '' for orbit"),
+    ({"torque": (0.0, 1.0, 0.0)}, "torque is [0.0, 1.0, 0.0]; allowed: 0, for beads have no"),
+    ({"stamp": Time(sec=10**6)}, "allowed: up to 86400 s after the newest step's"),
+])  # fmt: skip
+def test_a_refusal_says_what_is_allowed(pilot, options, said):
+    pilot.send(**options)
+    pilot.sim.process.wait_for_line(said)
+
+
+def test_limits_and_timeouts_apply_at_once(pilot):
+    assert pilot.sim.set(thrust_limit_n=2.0, command_timeout_s=5.0).successful
+    pilot.send((3.0, 0.0, 4.0))
+    first = pilot.step(6)
+    pilot.sim.process.wait_for_line("satellite_1: 5 N scaled back to thrust_limit_n, 2 N")
+    one, two = pilot.applied
+    np.testing.assert_allclose(one.force_n, [1.2, 0.0, 1.6])
+    assert (time_ns(two.header.stamp) - time_ns(one.header.stamp)) / 1e9 == 5.0
+    assert not two.satellite and two.step == one.step + 2 < first.step
+    assert not pilot.sim.set(thrust_limit_n=-1.0).successful
+
+
+def test_a_tether_is_cut_at_its_time(pilot):
+    code, reason = pilot.sim.refused(CutTether, tether="rope")
+    assert code == Result.RESULT_NOT_FOUND and "tether_1" in reason
+    first = pilot.step(1)
+    at = time_ns(first.header.stamp) + 5 * 10**9
+    pilot.sim.do(CutTether, tether="tether_2", stamp=Time(sec=at // 10**9))
+    pilot.step(4)
+    (message,) = pilot.applied
+    assert list(message.cut_tether) == ["tether_2"] and time_ns(message.header.stamp) == at
+    event = pilot.sim.events[-1]
+    assert event.kind == "cut" and event.step == message.step == first.step + 3
+    assert event.text == f"tether_2: cut at {at / 1e9:.9f} s"
+
+
+def test_a_run_is_made_again_from_its_bag(start, client, tmp_path, monkeypatch):
+    """A controller flies while a recorder records; commands come whenever they come."""
+    logger = start("logger_node", output="bag")
+    process = start(
+        "sim_node", time_scale=400, turns=0.6, wait_for_recorder=True, command_timeout_s=150.0,
+        **GIVEN,
+    )  # fmt: skip
+    simulator = ros_harness.Simulator(*client)
+    pilot = Pilot(simulator)
+    rng, names = np.random.default_rng(5), list(pilot.publishers)
+    while process.running:
+        frame = ("", "orbit", "inertial", "spinning")[rng.integers(4)]
+        pilot.send(
+            rng.normal(size=3).tolist(), frame=frame, satellite=names[rng.integers(3)],
+            stamp=Time(sec=int(rng.integers(2000))) if rng.random() < 0.3 else None,
+        )  # fmt: skip
+        until = time.monotonic() + 0.05
+        simulator.spin_until(lambda until=until: time.monotonic() > until, 1, "a while")
+    assert process.wait(10) == 0, process.stderr
+    assert logger.stop() == 0, logger.stderr
+    recorded = read_bag(tmp_path / "bag")
+    assert not verify(tmp_path / "bag").faults
+    applied = read_commands(tmp_path / "bag", recorded.system)
+    assert len(applied) > 10 and recorded.lost == 0
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in GIVEN.items()]
+    words += ["--turns", "0.6", "--commands", str(tmp_path / "bag")]
+    assert straight.main(["three_star", *words, "--output", str(tmp_path / "again")]) == 0
+    again = read_bag(tmp_path / "again")
+    np.testing.assert_array_equal(again.position_m, recorded.position_m)
+    np.testing.assert_array_equal(again.velocity_m_s, recorded.velocity_m_s)
+    np.testing.assert_array_equal(again.tension_n, recorded.tension_n)
+    assert read_commands(tmp_path / "again", again.system) == applied
+    with pytest.raises(TssError, match="has commands of another system"):
+        other = straight.setup_of("three_star", {"satellites": 2}, {**GIVEN, "turns": 1.0})
+        read_commands(tmp_path / "bag", other.system)
+
+
+def test_a_restored_run_goes_on_with_its_forces(pilot):
+    pilot.step(2)
+    pilot.send((0.7, 0.1, 0.0), frame="spinning")
+    pilot.step(5)
+    pilot.sim.do(SaveSnapshot, file="pushed.npz")
+    expected = [motion(pilot.step(4)) for _ in range(3)]
+    pilot.sim.do(RestoreSnapshot, file="pushed.npz")
+    del pilot.sim.beads[:]
+    pilot.sim.settled()
+    assert [motion(pilot.step(4)) for _ in range(3)] == expected
+    one, two = pilot.applied
+    assert two.run == one.run + 1 and two.force_n == one.force_n and two.frame == one.frame
