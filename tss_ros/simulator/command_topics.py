@@ -108,6 +108,13 @@ class CommandTopics:
                     self._topic.qos,
                 )
 
+    def drain(self) -> None:
+        """Take all commands that have arrived; the executor takes one at a time."""
+        for name, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while taken := subscription.handle.take_message(WrenchStamped, False):
+                    self._on_wrench(name, taken[0])
+
     def publish(self, system: System, step: int, run: int, frame_id: str) -> list[str]:
         """Publish what has come to act since the step before; in the simulation's thread.
 

@@ -69,6 +69,8 @@ class SimulationServices:
         Called before every answer.
     folder : str
         Of the snapshots that requests may name.
+    on_request : callable
+        Called before every request, so that what has arrived before it counts.
     """
 
     def __init__(
@@ -80,7 +82,9 @@ class SimulationServices:
         on_event: Callable[[str, str], None],
         on_answer: Callable[[], None],
         folder: str,
+        on_request: Callable[[], None],
     ) -> None:
+        self._on_request = on_request
         self._node, self._control, self._make_setup = node, control, make_setup
         self._newest_states, self._folder = newest_states, folder
         self._on_event, self._on_answer = on_event, on_answer
@@ -169,6 +173,7 @@ class SimulationServices:
         object
             The response.
         """
+        self._on_request()
         done = Future()
         done.add_done_callback(lambda _: self._node.executor.wake())
         self._control.request(work, *arguments).add_done_callback(done.set_result)

@@ -114,6 +114,7 @@ class SimNode(TssNode):
             self._on_event,
             self._report_status,
             self._options["service_folder"],
+            self._commands.drain,
         )
         EntityServices(self, self._control, services.ask, self._on_event, self._frame_id)
         self._steps_action = StepsAction(self, self._control, services.ask)
