@@ -1,8 +1,11 @@
 """Thrusters over the middleware: real controllers, real commands, and the same run once more."""
 
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -223,3 +226,52 @@ def test_a_restored_run_goes_on_with_its_forces(pilot):
     assert [motion(pilot.step(4)) for _ in range(3)] == expected
     one, two = pilot.applied
     assert two.run == one.run + 1 and two.force_n == one.force_n and two.frame == one.frame
+
+
+def swing_m_s(position_m, velocity_m_s):
+    """How fast satellites move against the rigid turn that fits them best: a norm over all."""
+    r, v = (x - x.mean(axis=1, keepdims=True) for x in (position_m, velocity_m_s))
+    inertia = np.einsum("kij,kij->k", r, r)[:, None, None] * np.eye(3)
+    inertia -= np.einsum("kip,kiq->kpq", r, r)
+    spin = np.linalg.solve(inertia, np.cross(r, v).sum(axis=1)[..., None])[..., 0]
+    return np.sqrt(((v - np.cross(spin[:, None], r)) ** 2).sum(axis=(1, 2)))
+
+
+def test_the_example_damps_the_swing_of_six_beads(start, client, tmp_path):
+    given = {"publish_period_s": 10.0, "disturbance_m": 300.0, "disturbance_seed": 1, "turns": 4.0}
+    setup = straight.setup_of("six_bead", {"spin_rate_ratio": -2.9}, given)
+    straight.simulate(setup, 4.0, tmp_path / "alone")
+    process = start(
+        "sim_node", scenario="six_bead", spin_rate_ratio=-2.9, time_scale=400, start_paused=True,
+        **given,
+    )  # fmt: skip
+    example = Path(__file__).parents[2] / "examples" / "damp_six_beads.py"
+    damper = subprocess.Popen([sys.executable, example], cwd=tmp_path)
+    try:
+        simulator = ros_harness.Simulator(*client)
+        simulator.do(StepSimulation, steps=2)  # the controller finds out whom to push
+        topics = [f"/sim_node/satellite_{i}/cmd_wrench" for i in (1, 2, 3)]
+        simulator.spin_until(
+            lambda: (
+                simulator.do(StepSimulation, steps=1)
+                and all(simulator.node.count_publishers(topic) for topic in topics)
+            ),
+            ros_harness.START_S, "the controller",
+        )  # fmt: skip
+        simulator.play()
+        simulator.spin_until(lambda: not process.running, 100.0, "the end of the run")
+        assert process.wait(1) == 0 and damper.poll() is None
+    finally:
+        damper.terminate()
+        damper.wait(10)
+    satellites = np.flatnonzero(setup.system.is_satellite)
+    last = round(setup.turn_s / given["publish_period_s"])
+    damped = [
+        np.array([np.reshape(x, (-1, 3))[satellites] for x in column])
+        for column in zip(*((m.position_m, m.velocity_m_s) for m in simulator.beads[-last:]))
+    ]
+    alone = read_bag(tmp_path / "alone")
+    alone = alone.position_m[-last:, satellites], alone.velocity_m_s[-last:, satellites]
+    with_thrusters, without = (math.sqrt(np.mean(swing_m_s(*x) ** 2)) for x in (damped, alone))
+    assert simulator.beads[-1].step == 869 and len(simulator.beads) > last
+    assert with_thrusters < 0.7 * without
