@@ -49,6 +49,7 @@ def test_bag_says_what_its_types_are(run):
             latched = connection.topic in (
                 "/system_description",
                 "/simulation_events",
+                "/applied_wrenches",
                 "/stability_results",
             )
             assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")

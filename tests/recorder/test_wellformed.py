@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from tss_interfaces.msg import FloquetResult, SystemDescription
+from tss_interfaces.msg import AppliedWrenches, FloquetResult, SystemDescription
 
 from tss_ros.core import initial_state
 from tss_ros.messages.steps import States, StepMessages
@@ -35,6 +35,9 @@ def messages():
         },
         "simulation_events": simulation_event(10, 1, 0, "reset", "time and Ω", "orbit"),
         "stability_results": FloquetResult(verdict="stable", message="", tether_law="x"),
+        "applied_wrenches": AppliedWrenches(
+            step=3, satellite=["a"], frame=["orbit"], force_n=[1.0, 2.0, 3.0], cut_tether=["é"]
+        ),
         "system_description": SystemDescription(
             bead_name=["a", "bc"], is_satellite=[True, False], tether_ends=[0, 1], versions=["é"]
         ),

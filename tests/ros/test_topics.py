@@ -85,7 +85,7 @@ def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expe
         (CriticalRate, "CAUSE", core.CAUSES),
         (SpecialPoint, "KIND", core.SPECIAL_KINDS),
         (Mode, "DIRECTION", core.DIRECTIONS),
-        (SimulationEvent, "KIND", ("reset", "restore", "disturb", "place")),
+        (SimulationEvent, "KIND", ("reset", "restore", "disturb", "place", "cut")),
     ],
 )
 def test_texts_of_messages_have_constants(kind, prefix, texts):

@@ -10,6 +10,8 @@ from tss_ros.simulator.checkpoint import make_checkpoint, resume
 RING = ring(satellite_mass_kg=100.0)
 #: So slow that tethers go slack again and again: steps of both kinds are made.
 RATIO = -1.6
+PLACE = {"index": 9, "base_ns": 5, "since_ns": 3}
+COMMANDS = {"when_and_where": np.array([[10, 1, 2], [20, 0, -1]]), "force_n": np.ones((2, 3))}
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def written(tmp_path, propagator):
     original.sample(2.0 * np.arange(8))
     file, identity = str(tmp_path / "kept.npz"), {"mass_kg": RING.mass_kg}
     kept = make_checkpoint(original, 7)
-    snapshot.write(file, identity, {"index": 9, "base_ns": 5}, kept)
+    snapshot.write(file, identity, PLACE, kept, COMMANDS)
     return file, identity, kept
 
 
@@ -62,8 +64,10 @@ def test_a_checkpoint_does_not_change_with_its_integrator(propagator):
 
 def test_what_was_written_is_read_again(written):
     file, identity, kept = written
-    place, found = snapshot.read(file, identity, kept, furthest=256)
-    assert place == {"index": 9, "base_ns": 5} and found.index == kept.index
+    place, found, commands = snapshot.read(file, identity, kept, furthest=256)
+    assert place == PLACE and found.index == kept.index
+    for name, array in COMMANDS.items():
+        np.testing.assert_array_equal(commands[name], array)
     assert found.arrays.keys() == kept.arrays.keys()
     for name, array in kept.arrays.items():
         np.testing.assert_array_equal(found.arrays[name], array)
@@ -77,7 +81,7 @@ def test_other_versions_are_refused_by_number(written, tmp_path, version, shown)
     other = changed(file, tmp_path, format_version=version)
     with pytest.raises(TssError) as caught:
         snapshot.read(other, identity, kept, furthest=256)
-    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 3"
+    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 4"
 
 
 def test_a_missing_entry_is_damage(written, tmp_path):

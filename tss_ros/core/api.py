@@ -9,6 +9,7 @@ from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
+from tss_ros.core.model.thrust import Commands
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, DisturbedMotion, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates
@@ -51,6 +52,7 @@ __all__ = [
     "TETHER_LAWS",
     "VERDICTS",
     "Cancelled",
+    "Commands",
     "ConfirmationJob",
     "Confirmation",
     "CriticalRate",

@@ -106,11 +106,12 @@ def _is(value, kind):
         return isinstance(value, bool | np.bool_)
     if not isinstance(value, whole):
         return False
+    parts = typing.get_args(kind)
+    if whole is tuple and parts and Ellipsis not in parts:
+        return len(value) == len(parts) and all(map(_is, value, parts))
     if whole in (collections.abc.Sequence, tuple, list):
         return not isinstance(value, str) and all(
-            any(_is(one, kind) for kind in _kinds(part))
-            for part in typing.get_args(kind)[:1]
-            for one in value
+            any(_is(one, kind) for kind in _kinds(part)) for part in parts[:1] for one in value
         )
     return True
 

@@ -135,6 +135,15 @@ SIMULATOR = (
         " centre_of_mass", default="", applies="reset", note="empty: none",
     ),
     Parameter(
+        "command_timeout_s", float,
+        "Simulated time after which a force ends that is not commanded anew", "s",
+        minimum=0.0, maximum=1e9, default=0.0, applies="at once", note="0: never",
+    ),
+    Parameter(
+        "command_limit_n", float, "Largest force commanded; larger ones are scaled back", "N",
+        minimum=0.0, maximum=1e6, default=0.0, applies="at once", note="0: no limit",
+    ),
+    Parameter(
         "frame_prefix", str,
         "Put before the name of every frame, to tell several simulators apart", default="",
     ),

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tss_ros.core import Propagator
+from tss_ros.core import Commands, Propagator
 
 #: Names in a snapshot of the numbers of `core.motion.state.PROGRESS`.
 _NUMBERS = {
@@ -63,10 +63,15 @@ class Checkpoint(NamedTuple):
 
 def make_checkpoint(propagator: Propagator, index: int) -> Checkpoint:
     """Copy what an integrator remembers; `index` is the state that it has given last."""
-    return Checkpoint(index, {name: np.array(part) for name, part in _parts(propagator).items()})
+    arrays = {name: np.array(part) for name, part in _parts(propagator).items()}
+    force_n, cut = map(np.array, propagator.commands)
+    arrays |= {"commanded_force_n": force_n, "cut": cut}
+    return Checkpoint(index, arrays | {"commanded_since_s": np.array(propagator.commanded_s)})
 
 
 def resume(propagator: Propagator, checkpoint: Checkpoint) -> None:
     """Put an integrator of the same system where a checkpoint was made."""
+    commands = Commands(checkpoint.arrays["commanded_force_n"], checkpoint.arrays["cut"])
+    propagator.set_commands(commands, float(checkpoint.arrays["commanded_since_s"]))
     for name, part in _parts(propagator).items():
         part[...] = checkpoint.arrays[name]

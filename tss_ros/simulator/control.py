@@ -244,6 +244,11 @@ class Control:
         self.simulation.place(bead, position_m, velocity_m_s)
         self.failure = ""
 
+    def set_timeout(self, answer: Future, timeout_s: float) -> None:
+        """Let forces that are not commanded anew end after so long [s]."""
+        self.simulation.set_timeout(timeout_s)
+        answer.set_result(None)
+
     def save(self, answer: Future, file: str) -> None:
         """Write a snapshot."""
         self.simulation.save(file)

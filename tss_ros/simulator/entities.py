@@ -28,7 +28,7 @@ from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit
 from tss_ros.ros.messages import stamp
 from tss_ros.simulator.control import Code, Refused
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.simulation import Simulation
 
 #: Largest component of a position [m] and of a velocity [m/s] that an entity may be given.
 MAX_POSITION_M, MAX_VELOCITY_M_S = 1e6, 1e4
@@ -96,24 +96,19 @@ def info(system: System, index: int) -> EntityInfo:
     )
 
 
-def states(
-    system: System,
-    spin_rate_ratio: float,
-    sample: Sample,
-    indices: Iterable[int],
-    frame_id: str,
-) -> list[EntityState]:
+def states(simulation: Simulation, indices: Iterable[int], frame_id: str) -> list[EntityState]:
     """States of entities, as messages."""
+    system, sample = simulation.setup.system, simulation.newest
     r, v = sample.position_m, sample.velocity_m_s
     a = np.empty_like(r)
     # Without spin the turning frame of the forces is the orbit frame.
-    taut = acting_tethers(system, r, v)
+    spin, acting = system.spin_rate_rad_s(simulation.setup.spin_rate_ratio), simulation.acting
+    taut, now_s = acting_tethers(system, r, v) & ~acting.cut, sample.time_ns / 1e9
     if system.autonomous:
-        spin = system.spin_rate_rad_s(spin_rate_ratio)
         arrays = with_feedback(kernel_arrays(system, 0.0), system, spin)
-        acceleration(arrays, taut, 0.0, v, r, a)
+        acceleration(acting.in_arrays(arrays, system, spin), taut, now_s, v, r, a)
     else:
-        a = reference_orbit(system).relative_acceleration(sample.time_ns / 1e9, taut, v, r)
+        a = reference_orbit(system).relative_acceleration(now_s, taut, v, r)
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

@@ -65,9 +65,7 @@ class EntityServices:
         return entities.matching(self._system, newest.position_m, request.filters)
 
     def _states(self, indices):
-        simulation = self._control.simulation
-        ratio = simulation.setup.spin_rate_ratio
-        return entities.states(self._system, ratio, simulation.newest, indices, self._frame_id)
+        return entities.states(self._control.simulation, indices, self._frame_id)
 
     def _get_entities(self, answer, request, response):
         response.entities = [self._system.bead_name[i] for i in self._matching(request)]

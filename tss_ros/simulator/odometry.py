@@ -34,11 +34,16 @@ def check(reference: str, system: System) -> None:
             f"{', '.join(names):.200}"
         )
     for name in names:
-        if not _TOPIC_NAME.fullmatch(name):
+        if not is_topic_name(name):
             raise TssError(
                 f"odometry needs names that topics may have; {name!r:.80} is none: letters, "
                 "digits and _ only, no digit first"
             )
+
+
+def is_topic_name(name: str) -> bool:
+    """Whether a topic may have the name of a satellite."""
+    return bool(_TOPIC_NAME.fullmatch(name))
 
 
 def satellites(system: System) -> list[str]:

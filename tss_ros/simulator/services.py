@@ -17,12 +17,14 @@ from simulation_interfaces.srv import (
     StepSimulation,
 )
 from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
-from tss_interfaces.srv import Disturb, GetStates, RestoreSnapshot, SaveSnapshot
+from tss_interfaces.srv import CutTether, Disturb, GetStates, RestoreSnapshot, SaveSnapshot
 
 from tss_ros.core import State, TssError, disturbed
 from tss_ros.ros import messages
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
+from tss_ros.simulator.command_topics import read_time
+from tss_ros.simulator.commands import CUT, Command
 from tss_ros.simulator.control import Code, Control, PlayState, Refused
 from tss_ros.simulator.setup import Setup
 
@@ -67,6 +69,8 @@ class SimulationServices:
         Called before every answer.
     folder : str
         Of the snapshots that requests may name.
+    on_request : callable
+        Called before every request, so that what has arrived before it counts.
     """
 
     def __init__(
@@ -78,7 +82,9 @@ class SimulationServices:
         on_event: Callable[[str, str], None],
         on_answer: Callable[[], None],
         folder: str,
+        on_request: Callable[[], None],
     ) -> None:
+        self._on_request = on_request
         self._node, self._control, self._make_setup = node, control, make_setup
         self._newest_states, self._folder = newest_states, folder
         self._on_event, self._on_answer = on_event, on_answer
@@ -90,6 +96,7 @@ class SimulationServices:
             (StepSimulation, "step_simulation", self._step),
             (ResetSimulation, "reset_simulation", self._reset),
             (Disturb, "disturb", self._disturb),
+            (CutTether, "cut_tether", self._cut),
             (SaveSnapshot, "save_snapshot", self._save),
             (RestoreSnapshot, "restore_snapshot", self._restore),
         ):
@@ -106,8 +113,8 @@ class SimulationServices:
         response.features.features = FEATURES
         response.features.custom_info = (
             f"tss_ros {version('tss_ros')}; entities are satellites and tether beads, points of "
-            f"the orbit frame; {name}/disturb, {name}/save_snapshot, {name}/restore_snapshot and "
-            f"{name}/get_states are of tss_interfaces"
+            f"the orbit frame; {name}/disturb, {name}/cut_tether, {name}/save_snapshot, "
+            f"{name}/restore_snapshot and {name}/get_states are of tss_interfaces"
         )
         self._on_answer()
         return response
@@ -141,6 +148,9 @@ class SimulationServices:
     async def _disturb(self, request, response):
         return await self.ask(response, self._do_disturb, request)
 
+    async def _cut(self, request, response):
+        return await self.ask(response, self._do_cut, request)
+
     async def _save(self, request, response):
         return await self.ask(response, self._do_save, request.file)
 
@@ -163,6 +173,7 @@ class SimulationServices:
         object
             The response.
         """
+        self._on_request()
         done = Future()
         done.add_done_callback(lambda _: self._node.executor.wake())
         self._control.request(work, *arguments).add_done_callback(done.set_result)
@@ -230,6 +241,20 @@ class SimulationServices:
             offset_m, velocity_m_s, text = self._random_disturbance(request)
         self._control.disturb(offset_m, velocity_m_s)
         self._on_event(SimulationEvent.KIND_DISTURB, text)
+        answer.set_result(None)
+
+    def _do_cut(self, answer, request):
+        simulation = self._control.simulation
+        names = simulation.setup.system.tether_name
+        if request.tether not in names:
+            raise Refused(
+                Code.NOT_FOUND,
+                f"tether {request.tether!r:.80} does not exist; the segments are "
+                f"{', '.join(names):.200}",
+            )
+        time_ns = read_time(request.stamp, simulation.newest.time_ns)
+        if not simulation.commands.post(Command(time_ns, names.index(request.tether), CUT)):
+            raise TssError("too many commands of the future are kept; it is not")
         answer.set_result(None)
 
     def _bead_disturbance(self, request):

@@ -10,12 +10,13 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
-from tss_interfaces.msg import BeadStates, TetherStates
+from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
 
 from tss_ros.core import TssError
 from tss_ros.messages import blocks
 from tss_ros.messages.steps import FRAME_ID, StepMessages, system_description
 from tss_ros.messages.topics import STATE_TOPICS
+from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
@@ -23,6 +24,7 @@ from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read
 from tss_ros.ros.words import check_words
 from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
+from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.pacing import Pace
@@ -45,8 +47,8 @@ LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 
 
-#: The topics of odometry, one for each satellite.
-ODOMETRY = "{satellite}/odom"
+#: The topics of odometry and of commands, one for each satellite.
+ODOMETRY, COMMANDS = "{satellite}/odom", "~/{satellite}/cmd_wrench"
 
 
 class SimNode(TssNode):
@@ -79,12 +81,17 @@ class SimNode(TssNode):
             if topics[name].durability == "volatile"
         )
         wake = threading.Event()
+        simulation = Simulation(setup, self._options["turns"], wake.set)
+        simulation.set_timeout(self._options["command_timeout_s"])
+        self._commands = CommandTopics(
+            self, topics[COMMANDS], self._publisher[APPLIED], simulation, lambda: self._options
+        )
         self._flow = FlowControl(
             max(1, depth // 4), self.get_logger(), wake.set, self._options["recorder_patience_s"]
         )
         self._pace = Pace(self._options["time_scale"])
         self._control = Control(
-            Simulation(setup, self._options["turns"], wake.set),
+            simulation,
             self._pace,
             self._flow,
             wake,
@@ -107,6 +114,7 @@ class SimNode(TssNode):
             self._on_event,
             self._report_status,
             self._options["service_folder"],
+            self._commands.drain,
         )
         EntityServices(self, self._control, services.ask, self._on_event, self._frame_id)
         self._steps_action = StepsAction(self, self._control, services.ask)
@@ -119,6 +127,7 @@ class SimNode(TssNode):
         self._events = []
         self._shown, self._listeners = None, {}
         self._unheard_since = None
+        self._commands.begin(setup.system)
         self._describe(0, 0)
 
     def start(self) -> None:
@@ -156,6 +165,7 @@ class SimNode(TssNode):
                 self._pace.time_scale = options["time_scale"]
                 self._control.meter.read()  # which begins to measure anew
             self._options = options
+            self._control.request(self._control.set_timeout, options["command_timeout_s"])
         return outcome
 
     def _make_setup(self):
@@ -222,8 +232,12 @@ class SimNode(TssNode):
 
     def _publish(self, step, sample):
         new_run = self._run != self._control.run
+        system = self._control.simulation.setup.system
         if new_run:
             self._describe(step, sample.time_ns)
+            self.executor.create_task(self._commands.begin, system)
+        cut = self._commands.publish(system, step, self._control.run, self._frame_id)
+        self._events += [(SimulationEvent.KIND_CUT, text) for text in cut]
         self._publish_events(step)
         self._shown = step, sample
         self._steps.publish(step, sample, new_run)

@@ -1,28 +1,21 @@
-"""The motion a simulator publishes: integrated ahead in a thread, changed and kept on request."""
+"""The motion a simulator publishes: it is changed and kept on request."""
 
 import math
-import threading
-import time
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tss_ros.core import Propagator, State, TssError
+from tss_ros.core import Commands, State, TssError
 from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
-from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
+from tss_ros.simulator.commands import CommandTable
 from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.trajectory import CHUNK_STEPS, Trajectory, edge_s
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
-#: Most states integrated in one go, and most of them times beads.
-CHUNK_STEPS, CHUNK_BEAD_STEPS = 256, 8192
-#: Wall time [s] that one go should take: less is a waste, more keeps requests waiting.
-CHUNK_WALL_S = (0.05, 0.2)
 
 
 def last_index(duration_s: float, period_s: float) -> int:
@@ -67,143 +60,6 @@ class Sample(NamedTuple):
         return states._replace(time_ns=np.array([self.time_ns]))
 
 
-class _Chunk(NamedTuple):
-    """States integrated in one go, the end, wall time taken [s]."""
-
-    states: States
-    end: Checkpoint
-    wall_s: float
-
-
-def compute_states(
-    setup: Setup,
-    propagator: Propagator,
-    first: int,
-    count: int,
-    cancelled: Callable[[], bool] | None = None,
-) -> States:
-    """States `first` to `first + count - 1` of a motion, one each publish period.
-
-    Parameters
-    ----------
-    setup : Setup
-    propagator : Propagator
-    first, count : int
-    cancelled : callable, optional
-
-    Returns
-    -------
-    States
-
-    Raises
-    ------
-    IntegrationError
-        If the motion cannot be continued.
-    Cancelled
-        If `cancelled` said so.
-    """
-    times_s = np.arange(first, first + count) * setup.publish_period_s
-    sampled = propagator.sample(times_s, cancelled)
-    time_ns = np.rint(times_s * 1e9).astype(np.int64)
-    return States.of(setup.system, setup.reference_radius_m, time_ns, *sampled)
-
-
-class _Trajectory:
-    """One continuous motion, sampled at index 0, 1, ... times the period, a chunk at a time.
-
-    That samples do not depend on how they are grouped lets the chunks be as large as time allows,
-    and lets a checkpoint continue bit for bit.
-    """
-
-    def __init__(self, setup, state, on_ready):
-        self._setup, self._on_ready = setup, on_ready
-        self._propagator = Propagator(setup.system, setup.spin_rate_ratio, state)
-        self._cancelled = threading.Event()
-        self._pool = ThreadPoolExecutor(max_workers=1)
-        self._rows, self._future = deque(), None
-        self._count = 1
-        self._before = self._after = make_checkpoint(self._propagator, 0)
-        self.index = -1
-        self.wall_s_per_step = math.nan
-        self.last = math.inf
-
-    @property
-    def switches(self):
-        return self._propagator.switches
-
-    @property
-    def ready(self):
-        """Whether `take` returns at once."""
-        if not self._rows and self._future is None and self.index < self.last:
-            self._request()
-        return bool(self._rows) or (self._future is not None and self._future.done())
-
-    def take(self):
-        """The next state, as States and its row; waits for it when it must.
-
-        Raises
-        ------
-        IntegrationError
-            If the motion cannot be continued.
-        """
-        if not self._rows:
-            if self._future is None:
-                self._request()
-            self._use(self._future.result())
-            self._future = None
-            if self.index + len(self._rows) < self.last:
-                self._request()
-        self.index += 1
-        return self._rows.popleft()
-
-    def first(self, index=0):
-        """The state at `index`, the first one taken, computed from the checkpoint at once."""
-        start = self._before.index
-        chunk = self._integrate(start, index - start + 1)
-        self._use(chunk)
-        self._rows.clear()
-        self.index = index
-        return States(*(column[-1:] for column in chunk.states)), 0
-
-    def checkpoint(self):
-        """The newest checkpoint that is not later than the newest state taken."""
-        return self._after if self._after.index <= self.index else self._before
-
-    def resume(self, checkpoint):
-        """Put the integrator where a checkpoint was made, before anything is taken."""
-        resume(self._propagator, checkpoint)
-        self._before = self._after = checkpoint
-
-    def close(self):
-        """Give up what is being integrated, without waiting for it."""
-        self._cancelled.set()
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def _use(self, chunk):
-        count = len(chunk.states.time_ns)
-        self._rows.extend((chunk.states, row) for row in range(count))
-        self._before, self._after = self._after, chunk.end
-        self.wall_s_per_step = chunk.wall_s / count
-        shortest, longest = CHUNK_WALL_S
-        if chunk.wall_s < shortest:
-            limit = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // self._setup.system.n))
-            self._count = min(2 * self._count, limit)
-        elif chunk.wall_s > longest:
-            self._count = max(1, self._count // 2)
-
-    def _request(self):
-        first = self.index + 1 + len(self._rows)
-        count = int(min(self._count, self.last + 1 - first))
-        self._future = self._pool.submit(self._integrate, first, count)
-        self._future.add_done_callback(lambda _: self._on_ready())
-
-    def _integrate(self, first, count):
-        begun = time.monotonic()
-        states = compute_states(self._setup, self._propagator, first, count, self._cancelled.is_set)
-        end = make_checkpoint(self._propagator, first + count - 1)
-        return _Chunk(states, end, time.monotonic() - begun)
-
-
 class Simulation:
     """The motion of one system, state by state, with the changes that users may make to it.
 
@@ -221,12 +77,24 @@ class Simulation:
 
     def __init__(self, setup: Setup, turns: float, on_ready: Callable[[], None]) -> None:
         self._turns, self._on_ready = turns, on_ready
-        self._trajectory = None
-        self._begin(setup, setup.start, 0)
+        self._trajectory, self._timeout_ns = None, 0
+        self._changes, self._told = [], Commands.none(setup.system)
+        self._begin_anew(setup, 0)
+
+    @property
+    def commands(self) -> CommandTable:
+        """What is commanded from outside; whoever may post to it."""
+        return self._commands
+
+    @property
+    def acting(self) -> Commands:
+        """What acts from the newest state on, as far as it has been collected."""
+        return self._commands.at(self.newest.time_ns)
 
     @property
     def ready(self) -> bool:
         """Whether `take` returns at once."""
+        self._collect()
         return self._changed or self._trajectory.ready
 
     @property
@@ -259,18 +127,41 @@ class Simulation:
         IntegrationError
             If the motion cannot be continued.
         """
+        self._collect()
         if self._changed:
             self._changed = False
-        else:
-            state = self._trajectory.take()
-            self.newest = Sample(self._time_ns(self._trajectory.index), *state)
+            self._tell(self.newest.time_ns, self.acting, anew=True)
+            return self.newest
+        begun_ns = self.newest.time_ns
+        state = self._trajectory.take()
+        self.newest = Sample(self._time_ns(self._trajectory.index), *state)
+        if self._commands:
+            for time_ns, acting in self._edges(begun_ns):
+                if time_ns < self.newest.time_ns:
+                    self._tell(time_ns, acting)
         return self.newest
+
+    def take_changes(self) -> list[tuple[int, Commands]]:
+        """When [ns] what acts from outside has changed since the last call, and what acts since."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def set_timeout(self, timeout_s: float) -> None:
+        """Let forces end that are not commanded anew for so long [s] of simulated time; 0: never.
+
+        It holds from the newest state on, for those that act as well.
+        """
+        self._timeout_ns = round(timeout_s * 1e9)
+        if self._commands.timeout_ns != self._timeout_ns:
+            self._commands.timeout_ns = self._timeout_ns
+            self._plan()
 
     def reset(self, setup: Setup | None = None, time: bool = True) -> None:
         """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
         if setup is not None:
-            self._begin(setup, setup.start, 0 if time else self.newest.time_ns)
+            self._begin_anew(setup, 0 if time else self.newest.time_ns)
         elif time:
+            self._commands.shift(-self.newest.time_ns)
             self._base_ns -= self.newest.time_ns
             self.newest = self.newest._replace(time_ns=0)
             self._limit()
@@ -300,8 +191,11 @@ class Simulation:
         TssError
             If there is such a file already, or if it cannot be made.
         """
+        self._collect()
         place = {"index": self._trajectory.index, "base_ns": self._base_ns}
-        snapshot.write(file, self.setup.identity, place, self._trajectory.checkpoint())
+        place["since_ns"] = self._trajectory.since_ns
+        checkpoint = self._trajectory.checkpoint_here()
+        snapshot.write(file, self.setup.identity, place, checkpoint, self._commands.arrays)
 
     def restore(self, file: str) -> None:
         """Continue from a snapshot, time included.
@@ -313,29 +207,44 @@ class Simulation:
         TssError
             If it is no snapshot or one of another system.
         """
-        place, checkpoint = snapshot.read(
+        place, checkpoint, kept = snapshot.read(
             file, self.setup.identity, self._trajectory.checkpoint(), CHUNK_STEPS
         )
+        commands = self._new_table(self.setup)
+        try:
+            commands.arrays = kept
+        except TssError as error:
+            raise TssError(f"snapshot {file!r:.200} is damaged: {error}") from None
         time_ns = place["base_ns"] + place["index"] * self.setup.publish_period_s * 1e9
         if not 0 <= time_ns <= MAX_TIME_S * 1e9:
             raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
-        trajectory = _Trajectory(self.setup, self.setup.start, self._on_ready)
+        start, since_ns = self.setup.start, place["since_ns"]
+        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns)
         trajectory.resume(checkpoint)
         try:
             state = trajectory.first(place["index"])
         except TssError as error:
             trajectory.close()
             raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
-        self._continue(trajectory, place["base_ns"], state)
+        self._continue(trajectory, commands, place["base_ns"], state)
 
     def close(self) -> None:
         """Give up what is being integrated."""
         self._trajectory.close()
 
-    def _begin(self, setup, state, base_ns):
-        trajectory = _Trajectory(setup, state, self._on_ready)
+    def _begin_anew(self, setup, base_ns):
+        """Begin with what a setup says, and without commands."""
+        self._begin(setup, setup.start, self._new_table(setup), base_ns)
+
+    def _new_table(self, setup):
+        commands = CommandTable(setup.system)
+        commands.timeout_ns = self._timeout_ns
+        return commands
+
+    def _begin(self, setup, state, commands, base_ns):
+        trajectory = Trajectory(setup, state, self._on_ready, base_ns)
         self.setup = setup
-        self._continue(trajectory, base_ns, trajectory.first())
+        self._continue(trajectory, commands, base_ns, trajectory.first())
 
     def _change(self, state):
         """Go on from another state, which shows in the state after it."""
@@ -348,16 +257,38 @@ class Simulation:
                 f"place; {system.tether_name[k]} between them has no direction there"
             )
         changed = self._changed
-        self._begin(self.setup, state, self.newest.time_ns)
+        self._begin(self.setup, state, self._commands, self.newest.time_ns)
         self._changed = changed
 
-    def _continue(self, trajectory, base_ns, state):
+    def _continue(self, trajectory, commands, base_ns, state):
         if self._trajectory is not None:
             self._trajectory.close()
-        self._trajectory, self._base_ns = trajectory, base_ns
+        self._trajectory, self._commands, self._base_ns = trajectory, commands, base_ns
         self.newest = Sample(self._time_ns(trajectory.index), *state)
         self._changed = True
         self._limit()
+        self._plan()
+
+    def _collect(self):
+        """Take the commands that were posted since."""
+        if self._commands.collect(self.newest.time_ns):
+            self._plan()
+
+    def _edges(self, from_ns):
+        """What acts from a time [ns] on, and all changes to come."""
+        return [(from_ns, self._commands.at(from_ns)), *self._commands.edges(from_ns + 1)]
+
+    def _plan(self):
+        edges = self._edges(self.newest.time_ns) if self._commands else []
+        if edges:
+            base_ns = self._base_ns
+            self._trajectory.plan([(edge_s(self.setup, t - base_ns), c) for t, c in edges])
+
+    def _tell(self, time_ns, acting, anew=False):
+        """Keep for `take_changes` what acts, if that is news."""
+        if acting != self._told or (anew and acting.acts):
+            self._changes.append((time_ns, acting))
+            self._told = acting
 
     def _limit(self):
         end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)

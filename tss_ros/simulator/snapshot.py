@@ -1,7 +1,8 @@
 """Snapshots: the exact state of a simulation in a NumPy archive.
 
 Its entries are `format_version`, `setup_*` (what the simulation must agree in), `place_*` (which
-state it is) and `integrator_*` (what the integrator remembers, see `checkpoint`).
+state it is), `integrator_*` (what the integrator remembers, see `checkpoint`) and `commands_*` (all
+commands in force and to come, see `commands`).
 """
 
 import errno
@@ -17,7 +18,9 @@ from tss_ros.scenarios.files import open_regular
 from tss_ros.simulator.checkpoint import Checkpoint
 
 #: Raised whenever entries change. Version 1 had no number and the integrator's own names.
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
+#: Types of the arrays of commands, of shape (k, 3).
+_COMMANDS = {"when_and_where": np.int64, "force_n": float}
 #: What the entries of a snapshot may need besides their numbers [B].
 MORE_BYTES = 2**20
 #: What reading an archive raises, whatever it holds.
@@ -26,7 +29,11 @@ _UNREADABLE += (struct.error, zlib.error, zipfile.BadZipFile, SyntaxError)
 
 
 def write(
-    file: str, identity: dict[str, np.ndarray], place: dict[str, int], checkpoint: Checkpoint
+    file: str,
+    identity: dict[str, np.ndarray],
+    place: dict[str, int],
+    checkpoint: Checkpoint,
+    commands: dict[str, np.ndarray],
 ) -> None:
     """Write a snapshot.
 
@@ -37,9 +44,12 @@ def write(
     identity : dict of str to ndarray
         What must be equal where the snapshot is to be restored.
     place : dict of str to int
-        `index` of the state that is kept, and `base_ns`, the time [ns] of index 0.
+        `index` of the state that is kept, `base_ns`, the time [ns] of index 0, and `since_ns`, the
+        same for the axes of forces from outside.
     checkpoint : Checkpoint
         Not later than that state.
+    commands : dict of str to ndarray
+        `CommandTable.arrays`.
 
     Raises
     ------
@@ -49,6 +59,7 @@ def write(
     content = {f"setup_{name}": value for name, value in identity.items()}
     content |= {f"integrator_{name}": value for name, value in checkpoint.arrays.items()}
     content |= {f"place_{name}": value for name, value in place.items()}
+    content |= {f"commands_{name}": value for name, value in commands.items()}
     try:
         with open(_checked(file), "xb") as stream:
             np.savez(
@@ -65,7 +76,7 @@ def write(
 
 def read(
     file: str, identity: dict[str, np.ndarray], like: Checkpoint, furthest: int
-) -> tuple[dict[str, int], Checkpoint]:
+) -> tuple[dict[str, int], Checkpoint, dict[str, np.ndarray]]:
     """Read a snapshot and check that it fits.
 
     Parameters
@@ -80,7 +91,7 @@ def read(
 
     Returns
     -------
-    tuple of dict and Checkpoint
+    tuple of dict, Checkpoint and dict
         As they were given to `write`.
 
     Raises
@@ -116,14 +127,19 @@ def read(
                 "set the parameters as they were and reset first"
             )
     arrays = {name: content.get(f"integrator_{name}") for name in like.arrays}
-    numbers = [content.get(f"place_{name}") for name in ("index", "base_ns", "from_index")]
+    names = ("index", "base_ns", "since_ns", "from_index")
+    numbers = [content.get(f"place_{name}") for name in names]
+    commands = {name: content.get(f"commands_{name}") for name in _COMMANDS}
+    count = np.shape(commands["force_n"])[:1]
     whole = all(_fits(array, like.arrays[name]) for name, array in arrays.items())
+    whole &= all(_fits(commands[name], np.empty((*count, 3), t)) for name, t in _COMMANDS.items())
     if not (whole and all(_fits(number, np.array(0)) for number in numbers)):
         raise TssError(f"snapshot {file!r:.200} is damaged")
-    index, base_ns, from_index = map(int, numbers)
+    index, base_ns, since_ns, from_index = map(int, numbers)
     if not 0 <= from_index <= index <= from_index + furthest:
         raise TssError(f"snapshot {file!r:.200} is damaged")
-    return {"index": index, "base_ns": base_ns}, Checkpoint(from_index, arrays)
+    place = {"index": index, "base_ns": base_ns, "since_ns": since_ns}
+    return place, Checkpoint(from_index, arrays), commands
 
 
 def _fits(array, like):

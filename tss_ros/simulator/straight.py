@@ -10,16 +10,22 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tss_ros.bags.wrenches import read_commands
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
-from tss_ros.core import Cancelled, IntegrationError, Propagator, TssError
+from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
 from tss_ros.messages.steps import StepMessages, system_description
 from tss_ros.messages.topics import STATE_TOPICS, read_topics
+from tss_ros.messages.wrenches import TOPIC as APPLIED
+from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import MAX_TIME_S, compute_states, last_index
+from tss_ros.simulator.simulation import MAX_TIME_S, last_index
+from tss_ros.simulator.trajectory import compute_states, edge_s
 
 #: Most states integrated and written in one go, and most of them times beads.
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
@@ -33,6 +39,7 @@ def simulate(
     output: str | Path,
     on_progress: Callable[[float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    commands: Sequence[tuple[int, Commands]] = (),
 ) -> BagWriter:
     """Simulate and write the bag that `logger_node` would have recorded of `sim_node`.
 
@@ -50,6 +57,9 @@ def simulate(
         Called with the share done.
     cancelled : callable, optional
         Asked again and again whether to end.
+    commands : sequence of (int, Commands)
+        Simulation times [ns] at which what acts from outside changes, and what acts from then on,
+        as `bags.wrenches.read_commands` gives them.
 
     Returns
     -------
@@ -71,13 +81,14 @@ def simulate(
         )
     writer = BagWriter(output, os.environ.get("ROS_DISTRO", "jazzy"), split_bytes=SPLIT_BYTES)
     try:
-        _write(setup, last_index(end_s, setup.publish_period_s), writer, on_progress, cancelled)
+        last = last_index(end_s, setup.publish_period_s)
+        _write(setup, last, writer, on_progress, cancelled, commands)
     finally:
         writer.close()
     return writer
 
 
-def _write(setup, last, writer, on_progress, cancelled):
+def _write(setup, last, writer, on_progress, cancelled, commands):
     topics = {name: topic for name, topic in read_topics().items() if topic.recorded}
     channels = {
         name: writer.add_topic(f"/{name}", t.type, t.definition, t.type_hash, t.offered_qos)
@@ -91,6 +102,8 @@ def _write(setup, last, writer, on_progress, cancelled):
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
     propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
+    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting in commands])
+    told = 0
     most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:
@@ -106,6 +119,12 @@ def _write(setup, last, writer, on_progress, cancelled):
             resume(propagator, before)
             most = 1  # what there is before the end goes into the bag state by state
             continue
+        while told < len(commands) and commands[told][0] < states.time_ns[-1]:
+            edge_ns, acting = commands[told]
+            step = first + int(np.searchsorted(states.time_ns, edge_ns, side="right"))
+            message = applied_wrenches(setup.system, acting, edge_ns, step)
+            told += 1
+            writer.write(channels[APPLIED], message, edge_ns, time.time_ns(), told)
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
         writer.write_columns(columns, states.time_ns, time.time_ns(), first + 1)
         writer.flush()
@@ -134,7 +153,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             line.show(f"{share:.0%}, {left_s:.0f} s left")
 
     try:
-        writer = simulate(make_setup(options), options.turns, options.output, show, stopped.is_set)
+        setup = make_setup(options)
+        commands = read_commands(options.commands, setup.system) if options.commands else ()
+        writer = simulate(setup, options.turns, options.output, show, stopped.is_set, commands)
     except Cancelled:
         line.end()
         print(f"simulate: interrupted; {options.output} has what there was", file=sys.stderr)
@@ -206,6 +227,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--override", nargs="+", action="extend", default=[], type=override, metavar="NAME=VALUE",
         help="a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
+    )  # fmt: skip
+    parser.add_argument(
+        "--commands", type=Path, metavar="BAG",
+        help="push satellites and cut tethers as in the first run of this bag",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     for parameter in RUN:

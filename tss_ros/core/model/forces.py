@@ -31,6 +31,7 @@ from tss_ros.core.model.made import (
 )
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
+from tss_ros.core.model.thrust import add_thrust as add_commanded_thrust
 from tss_ros.core.model.thrusting import add_thrust, add_thrust_gradient
 from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
 
@@ -118,6 +119,8 @@ def acceleration(arrays, taut, time, v, r, a):
             a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
     if arrays.satellite.size > 0:
         add_thrust(arrays, v, r, a)
+    if arrays.thrust.size > 0:
+        add_commanded_thrust(arrays, time, a)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]

@@ -30,6 +30,12 @@ class KernelArrays(NamedTuple):
         [1/s^2] about z, see `laws.inertia`; 0 but where motions are closed.
     drive_across : tuple of two float
         [1/s^2] the same about x and y, in the orbit frame only; 0 but for other axes than z.
+    thrust : ndarray, shape (3, n, 3)
+        [m/s^2] of each bead by thrusters, in each of `thrust.FRAMES`; (0, 0, 0) where none acts.
+    thrust_axis : tuple of float
+        Unit vector in the orbit frame about which the axes of `thrust` that spin turn.
+    thrust_spin : float
+        omega [rad/s] of these axes against the orbit frame.
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -72,6 +78,9 @@ class KernelArrays(NamedTuple):
     spin: float
     drive: float
     drive_across: tuple[float, float]
+    thrust: np.ndarray
+    thrust_axis: tuple[float, float, float]
+    thrust_spin: float
     bilateral: bool
     pushes: bool
     tension: int
@@ -117,6 +126,9 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         spin=float(spin_rate_rad_s),
         drive=0.0,
         drive_across=(0.0, 0.0),
+        thrust=np.empty((0, 0, 0)),
+        thrust_axis=(0.0, 0.0, 1.0),
+        thrust_spin=0.0,
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

@@ -8,8 +8,8 @@ import math
 
 from tss_ros.core.numerics.simd import kernel, lane_by_lane
 
-#: Where in what `sky_at` tells the rate n = sqrt(mu / R^3) is.
-MEAN_MOTION = 4
+#: Where in what `sky_at` tells the rate n = sqrt(mu / R^3) is, and where the centre's velocity is.
+MEAN_MOTION, CENTRE_VELOCITY = 4, 6
 
 
 @kernel

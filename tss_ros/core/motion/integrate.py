@@ -93,16 +93,38 @@ def _start(arrays, settings, motion, v, r, first_step, excess, growth):
     for i in range(r.shape[0]):
         for q in range(3):
             motion.start_r[i, q], motion.start_v[i, q] = motion.r[i, q], motion.v[i, q]
-    stretch(arrays, motion.v, motion.r, excess, growth)
-    # Eq. (5), and at the rest length whichever mode the motion is about to be in.
+    set_modes(arrays, motion, motion.v, motion.r, excess, growth)
+
+
+@python_kernel
+def set_modes(arrays, motion, v, r, excess, growth):
+    """Set the modes of all tethers to those of a state v, r (n,3); excess, growth (m,): room."""
+    stretch(arrays, v, r, excess, growth)
     for k in range(excess.size):
+        # Eq. (5), and at the rest length whichever mode the motion is about to be in.
         longer = excess[k] > 0.0 or (excess[k] == 0.0 and growth[k] > 0.0) or arrays.bilateral
         motion.taut[k], motion.idle[k] = longer, False
     if not arrays.pushes:
-        tensions(arrays, motion.v, motion.r, excess)
+        tensions(arrays, v, r, excess)
         for k in range(excess.size):
             motion.idle[k] = motion.taut[k] and excess[k] < 0.0
             motion.taut[k] = motion.taut[k] and not motion.idle[k]
+
+
+@rounded_kernel
+def _state_at(arrays, tables, motion, now, v, r):
+    """Write the state at a time [s] within the last step, in the orbit frame."""
+    at = motion.progress[0]
+    if at.last_kind == EXPLICIT:
+        taylor_motion.evaluate(motion.series, now - at.step_start, v, r)
+    else:
+        assign(v, motion.start_v)
+        assign(r, motion.start_r)
+        if at.step_size > 0.0:
+            fraction = (now - at.step_start) / at.step_size
+            step.interpolate(tables, motion.dv, fraction, v)
+            step.interpolate(tables, motion.dr, fraction, r)
+        to_orbit_frame(arrays.spin, now, v, r, v, r)
 
 
 @rounded_kernel
@@ -111,17 +133,31 @@ def _sample(arrays, tables, motion, samples):
     at = motion.progress[0]
     while at.sampled < samples.times.size and samples.times[at.sampled] <= at.time:
         now, v, r = samples.times[at.sampled], samples.v[at.sampled], samples.r[at.sampled]
-        if at.last_kind == EXPLICIT:
-            taylor_motion.evaluate(motion.series, now - at.step_start, v, r)
-        else:
-            assign(v, motion.start_v)
-            assign(r, motion.start_r)
-            if at.step_size > 0.0:
-                fraction = (now - at.step_start) / at.step_size
-                step.interpolate(tables, motion.dv, fraction, v)
-                step.interpolate(tables, motion.dr, fraction, r)
-            to_orbit_frame(arrays.spin, now, v, r, v, r)
+        _state_at(arrays, tables, motion, now, v, r)
         at.sampled += 1
+
+
+@python_allocating
+def take_back(arrays, tables, motion):
+    """Take the last step of a motion without variations back."""
+    at, (n, m) = motion.progress[0], (motion.r.shape[0], arrays.rest.size)
+    v, r, excess, growth = np.empty((n, 3)), np.empty((n, 3)), np.empty(m), np.empty(m)
+    # No tether changes its mode within a step: in the middle, each is far from where it would.
+    before = motion.taut.copy()
+    _state_at(arrays, tables, motion, at.step_start + 0.5 * at.step_size, v, r)
+    set_modes(arrays, motion, v, r, excess, growth)
+    for k in range(m):
+        at.switches -= motion.taut[k] != before[k]
+    _, dissipation = step_control.taut_rates(arrays, motion.taut, v)
+    at.dissipation -= dissipation * at.step_size
+    if at.last_kind == EXPLICIT:
+        taylor_motion.evaluate(motion.series, 0.0, motion.v, motion.r)
+        to_turning_frame(arrays.spin, at.step_start, motion.v, motion.r)
+    else:
+        assign(motion.v, motion.start_v)
+        assign(motion.r, motion.start_r)
+    at.time, at.step_size = at.step_start, 0.0
+    at.steps -= 1
 
 
 @python_allocating

@@ -9,12 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from tss_ros.core.arguments import checked
-from tss_ros.core.errors import Cancelled, IntegrationError, TssError
+from tss_ros.core.errors import IntegrationError, TssError
 from tss_ros.core.model.feedback import analysed, damping_time_s, feeds_back, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
+from tss_ros.core.motion.commanded import CommandedMotion
 from tss_ros.core.motion.compilation import compile_ahead
 from tss_ros.core.motion.state import IntegratorState, Samples
 from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
@@ -81,10 +82,8 @@ class Integrator:
         if self.orbit or feeds_back(system):
             if kind == EXPLICIT:
                 why = why_not_autonomous(system) or "feedback couples all satellites"
-                raise TssError(
-                    f"integrator {integrator!r} needs forces that rest in the orbit frame, of each"
-                    f" bead by itself, but {why}: choose 'auto' or 'radau'"
-                )
+                words = f"integrator {integrator!r} needs forces that rest in the orbit frame, of"
+                raise TssError(f"{words} each bead by itself, but {why}: choose 'auto' or 'radau'")
             kind = IMPLICIT
         self.symbolic, self._s_of_feedback = analysed(system), damping_time_s(system)
         self.tables = radau_tables.radau(stages)
@@ -320,7 +319,7 @@ def _check(status, motion, which):
     )
 
 
-class Propagator:
+class Propagator(CommandedMotion):
     """Forward integration from a state, sampled where wanted; resumes where it stopped.
 
     Parameters
@@ -336,15 +335,14 @@ class Propagator:
     integrator : str
         "auto", or "radau" or "taylor" for one kind of steps only: implicit ones suit stiff damping,
         explicit ones tethers that ring or switch often.
+    since_s : float
+        [s] when time 0 is for the axes of forces from outside, `thrust.FRAMES`.
 
     Raises
     ------
     TssError
         For a rate, tolerance, integrator or state that is not allowed.
     """
-
-    #: Accepted steps between two looks at `cancelled`.
-    SLICE = 200
 
     @checked
     def __init__(
@@ -354,32 +352,13 @@ class Propagator:
         state: State,
         rtol: float = 1e-10,
         integrator: str = "auto",
+        since_s: float = 0.0,
     ):
         spin = system.spin_rate_rad_s(spin_rate_ratio)
         length = np.max(np.linalg.norm(system.layout_m, axis=1))
-        self._integrator = Integrator(system, spin, rtol, length, dense=True, integrator=integrator)
-        self._motion = self._integrator.begin(state)
-        self.period_s = self._integrator.period_s
-
-    @property
-    def integrator_state(self) -> IntegratorState:
-        """All that the integrator remembers: write to it what was read, and the motion goes on."""
-        return self._motion
-
-    @property
-    def time_s(self) -> float:
-        """[s] end of the last integration step; samples up to here cost no further steps."""
-        return self._motion.time
-
-    @property
-    def steps(self) -> int:
-        """Accepted integration steps so far."""
-        return self._motion.steps
-
-    @property
-    def switches(self) -> int:
-        """Slack/taut switches so far, Eq. (5)."""
-        return self._motion.switches
+        free = Integrator(system, spin, rtol, length, dense=True, integrator=integrator)
+        super().__init__(free, free.begin(state), since_s)
+        self.period_s = free.period_s
 
     @checked
     def sample(
@@ -411,16 +390,12 @@ class Propagator:
         times = np.ascontiguousarray(times_s, dtype=float)
         if times.ndim != 1 or not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
             raise TssError("times_s must be finite and increasing")
-        motion, progress = self._motion, self._motion.progress
-        begun = progress["step_start"][0]
+        begun = self._motion.progress["step_start"][0]
         if times.size and times[0] < begun:
             raise TssError(
                 f"times_s must not lie before {begun:g} s, where the last step began,"
                 f" got {times[0]:g}"
             )
         samples = self._integrator.samples(times)
-        progress["sampled"] = 0
-        while not self._integrator.advance(motion, steps=self.SLICE, samples=samples):
-            if cancelled is not None and cancelled():
-                raise Cancelled(f"stopped at {self.time_s:g} s")
+        self._advance_through(samples, cancelled)
         return samples.r, samples.v

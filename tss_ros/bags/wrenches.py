@@ -1,0 +1,75 @@
+"""What acted from outside on a recorded run, so that it can be made again."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tss_ros.bags.directory import find_files
+from tss_ros.bags.mcap_file import McapFile
+from tss_ros.bags.reader import decoded
+from tss_ros.bags.records import BagError, Batch
+from tss_ros.core import Commands, System, TssError
+from tss_ros.messages.wrenches import commands_of
+
+_KINDS = ("AppliedWrenches", "SimulationEvent")
+#: Events of a run that its description and its wrenches do not tell all of.
+_UNTOLD = ("disturb", "place", "restore")
+
+
+def read_commands(path: str | Path, system: System) -> list[tuple[int, Commands]]:
+    """When [ns] what acts from outside changed in the first run of a bag, and what acted then.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag directory or .mcap file.
+    system : System
+        The one that was simulated.
+
+    Raises
+    ------
+    BagError
+        If the bag is damaged, has several simulators or another system, or if the run was changed
+        by other requests as well.
+    """
+    found = {}
+    files = find_files(path)
+    damage = list(files.damage)
+    for place in files.paths:
+        with McapFile(place) as file:
+            for part in file.batches_and_gaps():
+                if isinstance(part, Batch):
+                    _take(file, part, found)
+            damage += file.damage
+    if damage:
+        raise BagError(f"{str(path)!r} is damaged; `recover` makes a whole bag of the rest")
+    topics = [topic for kind, topic in found if kind == _KINDS[0]]
+    if len(topics) > 1:
+        raise BagError(f"{str(path)!r} has several simulators: {', '.join(sorted(topics)):.200}")
+    for (kind, _), messages in found.items():
+        for message in messages if kind == _KINDS[1] else ():
+            if message.run == 0 and message.kind in _UNTOLD:
+                raise BagError(
+                    f"{str(path)!r}: the run cannot be made again from commands alone; at step"
+                    f" {message.step} there was a {message.kind}: {message.text:.100}"
+                )
+    wrenches = found.get((_KINDS[0], topics[0]), []) if topics else []
+    try:
+        return [
+            (w.header.stamp.sec * 10**9 + w.header.stamp.nanosec, commands_of(system, w))
+            for w in wrenches
+            if w.run == 0
+        ]
+    except (TssError, ValueError) as error:
+        raise BagError(f"{str(path)!r} has commands of another system: {error}") from None
+
+
+def _take(file, batch, found):
+    for i, channel in file.channels.items():
+        schema = file.schemas.get(channel.schema_id)
+        kind = schema.name.rpartition("/")[2] if schema else ""
+        if kind in _KINDS and schema.name.startswith("tss_interfaces/"):
+            places = np.flatnonzero(batch.heads["channel"] == i)
+            messages = [decoded(schema, batch.payload(k)) for k in places]
+            if messages:
+                found.setdefault((kind, channel.topic), []).extend(messages)

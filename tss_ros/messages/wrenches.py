@@ -1,0 +1,65 @@
+"""AppliedWrenches: what acts on a formation from outside, as a message, and read from one."""
+
+from typing import Any
+
+import numpy as np
+
+from tss_ros.core import Commands, System
+from tss_ros.core.model.thrust import FRAMES
+from tss_ros.messages.cdr import serialised
+from tss_ros.messages.steps import FRAME_ID, header
+from tss_ros.messages.topics import read_topics
+
+#: The topic.
+TOPIC = "applied_wrenches"
+
+
+def applied_wrenches(
+    system: System,
+    commands: Commands,
+    time_ns: int,
+    step: int,
+    run: int = 0,
+    frame_id: str = FRAME_ID,
+) -> bytes:
+    """A serialised AppliedWrenches.
+
+    Parameters
+    ----------
+    system : System
+    commands : Commands
+    time_ns : int
+        Simulation time [ns] from which they hold.
+    step, run : int
+        Of the first state that shows them.
+    frame_id : str
+        Name of the orbit frame.
+
+    Returns
+    -------
+    bytes
+    """
+    frames, beads = np.nonzero(commands.force_n.any(axis=2))
+    said = {
+        "header": header(time_ns, frame_id),
+        "step": step,
+        "run": run,
+        "satellite": [system.bead_name[i] for i in beads],
+        "frame": [FRAMES[i] for i in frames],
+        "force_n": commands.force_n[frames, beads].ravel(),
+        "cut_tether": [system.tether_name[i] for i in np.flatnonzero(commands.cut)],
+    }
+    return serialised(read_topics()[TOPIC].definition, said)
+
+
+def commands_of(system: System, message: Any) -> Commands:
+    """What a message AppliedWrenches says.
+
+    Raises
+    ------
+    TssError
+        If it does not fit the system.
+    """
+    forces_n = np.reshape(message.force_n, (-1, 3))
+    forces = zip(message.satellite, message.frame, forces_n, strict=True)
+    return Commands.of(system, forces, message.cut_tether)
