@@ -91,8 +91,7 @@ class Integrator:
         self._no_samples = self.samples(np.empty(0))
         #: T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs.
         self.period_s = 2.0 * math.pi / abs(spin_rate_rad_s or system.orbit_rate_rad_s)
-        rate = max(abs(spin_rate_rad_s), system.orbit_rate_rad_s)
-        self.turn_s = 2.0 * math.pi / rate
+        self.turn_s = 2.0 * math.pi / (rate := max(abs(spin_rate_rad_s), system.orbit_rate_rad_s))
         # The estimate is of order s while the step's end is of order 2 s - 1; this is the usual
         # translation (Hairer and Wanner, RADAU) from the accuracy wanted to the estimate allowed.
         local = rtol if dense else 0.01 * rtol ** ((stages + 1) / (2 * stages))
