@@ -253,6 +253,8 @@ _FOREIGN_TOPICS = {
     "/diagnostics": "Once a second: the motion, slack tethers, recorders.",
     "{satellite}/odom": "With `odometry`: position [m] and velocity [m/s] of a satellite relative"
     " to another or to the centre of mass, along the axes of the orbit frame.",
+    "~/{satellite}/cmd_wrench": "Force on a satellite [N], until the next one: see"
+    " [Push satellites](../howto/control.md).",
     "/tf": "With `publish_tf`: `inertial` > `orbit` > every bead [m], at most 50 times a second"
     " of wall time.",
 }

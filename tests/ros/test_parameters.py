@@ -38,6 +38,8 @@ def test_what_is_not_given_is_left_to_the_scenario(given):
         "publish_period_s": 1.0,
         "turns": 0.0,
         "disturbance_m": 0.0,
+        "command_timeout_s": 0.0,
+        "thrust_limit_n": 0.0,
         "disturbance_seed": 0,
         "wait_for_recorder": False,
         "recorder_patience_s": 60.0,
