@@ -21,7 +21,7 @@ demo: setup
 	@. ./activate && echo 'tss_ros: loading the demo' && exec ros2 run tss_ros demo
 
 reproduce: setup
-	@. ./activate && ros2 run tss_ros reproduce && exec ros2 run tss_ros literature
+	@. ./activate && ros2 run tss_ros reproduce && ros2 run tss_ros literature && exec ros2 run tss_ros feedback
 
 test: setup
 	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not long" $(PYTEST)

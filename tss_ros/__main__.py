@@ -16,6 +16,7 @@ COMMANDS = {
         "stability_node": ("stability_node", "answer questions about stability"),
         "reproduce": ("reproduce", "redo the paper's figures and judge its claims"),
         "literature": ("literature", "judge what other papers claim of other formations"),
+        "feedback": ("feedback", "try feedback by thrusters on the paper's rings"),
     },
     "Stability": {
         "stability": ("stability", "ask a running stability node about spin rates"),
