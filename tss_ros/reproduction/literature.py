@@ -12,6 +12,7 @@ import numpy as np
 from tss_ros import core
 from tss_ros.core import Satellite, State, System, Tether
 from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.scenarios import scenario
 
 #: Random chains of the first claim: how many, and from how few to how many bodies.
 CHAINS, BODIES = 200, (2, 6)
@@ -24,6 +25,15 @@ HUB_RATES = tuple((np.arange(-16, 17) / 2.0).tolist())
 HUB_SATELLITES = (3, 4, 5, 6)
 TILT_RATES = (-2.2, -2.5, -3.0, -4.0, -6.0, -8.0, -12.0)
 PYRAMID_RATES = (1.0, 2.0, 3.0, 3.5, 4.0, 5.0, 8.0, 12.0, 16.0, 20.0)
+#: Shipped scenarios about axes other than the orbit normal, and rates over Omega at which they are
+#: asked about.
+TILTED = {
+    "ring_inclined": tuple((-np.arange(1.3, 2.01, 0.1)).round(2).tolist()),
+    "tetrahedron": tuple(np.arange(1.0, 5.1, 0.5).tolist()),
+    "closed_hub_earth_facing": tuple(np.arange(1.0, 5.1, 0.5).tolist()),
+    "double_pyramid_earth_facing": tuple(np.arange(1.0, 10.1, 1.0).tolist()),
+    "hub_and_spoke_earth_facing": tuple(np.arange(0.4, 2.1, 0.2).round(2).tolist()),
+}
 #: A claim holds, does not, or cannot be judged from what is public.
 REPRODUCED, PARTLY, NOT = "reproduced", "in part", "not reproduced"
 
@@ -301,3 +311,15 @@ def pyramids(cancelled: Callable[[], bool]) -> list[dict[str, Any]]:
         tilt = math.degrees(math.acos(min(abs(axis[1]), 1.0)))
         rows.append({"rate": rate, "verdict": result.verdict, "tilt_deg": tilt})
     return rows
+
+
+def tilted(cancelled: Callable[[], bool]) -> dict[str, list[str]]:
+    """Verdicts on the shipped scenarios about other axes, over the rate."""
+    found = {}
+    for name, rates in TILTED.items():
+        system = scenario.load(name).build()
+        found[name] = [
+            core.compute_floquet(system, rate, certify=False, cancelled=cancelled).verdict
+            for rate in rates
+        ]
+    return found

@@ -35,6 +35,7 @@ HELD = {"neutral", "asymptotically stable"}
 WORK = {
     "chains": literature.chains, "bunches": literature.bunches, "hubs": literature.hubs,
     "rings": literature.rings, "pyramids": literature.pyramids,
+    "tilted": literature.tilted,
 }  # fmt: skip
 
 
@@ -229,23 +230,37 @@ def deputies_figure(bunches: Mapping[str, Any]) -> Figure:
 
 def hubs_figure(hubs: Mapping[tuple[bool, int], Sequence[str]]) -> Figure:
     """Verdicts on hubs over the spin rate, a row for each."""
-    figure = Figure(figsize=(9.0, 4.2), dpi=DPI, layout="constrained")
+    rows = {
+        f"{'closed' if closed else 'open'}, {count}": (literature.HUB_RATES, verdicts)
+        for (closed, count), verdicts in hubs.items()
+    }
+    return _map_of_verdicts(rows, "hub and spoke, satellites", "Hubs in the orbit plane")
+
+
+def tilted_figure(tilted: Mapping[str, Sequence[str]]) -> Figure:
+    """Verdicts on shipped scenarios about other axes than the orbit normal, likewise."""
+    rows = {name: (literature.TILTED[name], verdicts) for name, verdicts in tilted.items()}
+    return _map_of_verdicts(rows, "scenario", "Formations about axes off the orbit normal")
+
+
+def _map_of_verdicts(rows, ylabel, title):
+    """Markers of verdicts over the spin rate, a row for each label: its rates and verdicts."""
+    figure = Figure(figsize=(9.0, 1.6 + 0.33 * len(rows)), dpi=DPI, layout="constrained")
     axes = figure.add_subplot()
-    labels = [f"{'closed' if closed else 'open'}, {count}" for closed, count in hubs]
     for verdict, style in VERDICT_STYLES.items():
         places = [
-            (rate, row) for row, verdicts in enumerate(hubs.values())
-            for rate, said in zip(literature.HUB_RATES, verdicts) if said == verdict
-        ]  # fmt: skip
+            (rate, row)
+            for row, (rates, verdicts) in enumerate(rows.values())
+            for rate, said in zip(rates, verdicts)
+            if said == verdict
+        ]
         if places:
             axes.plot(*np.transpose(places), linestyle="", markersize=6, label=verdict, **style)
-    axes.set_yticks(range(len(labels)), labels)
+    axes.set_yticks(range(len(rows)), rows)
     axes.invert_yaxis()
-    finish(axes, "spin rate over orbital rate, ω/Ω [-]", "hub and spoke, satellites")
+    finish(axes, "spin rate over orbital rate, ω/Ω [-]", ylabel)
     legend_below(figure, axes, columns=4)
-    figure.suptitle(
-        "Hubs in the orbit plane", color=INK, fontsize="medium"
-    )
+    figure.suptitle(title, color=INK, fontsize="medium")
     return figure
 
 
@@ -298,6 +313,7 @@ FIGURES = {
     "chains": (chains_figure, "Every dot is a mode of a random chain; all lie on the line."),
     "bunches": (deputies_figure, "Small curves fill their box; large ones let tethers go slack."),
     "hubs": (hubs_figure, "Open and closed hubs over the rate; triangles: no motion was found."),
+    "tilted": (tilted_figure, "Shipped scenarios, each at rates around its own."),
     "rings": (rings_figure, "The distance falls with the rate for every ring."),
     "pyramids": (
         pyramids_figure,

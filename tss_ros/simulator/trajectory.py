@@ -6,11 +6,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tss_ros.core import Commands, Propagator, State
+from tss_ros.core import (
+    Commands,
+    Propagator,
+    ReferenceOrbit,
+    State,
+    System,
+    orbit_elements,
+)
 from tss_ros.messages.steps import States
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
@@ -72,6 +80,19 @@ def edge_s(setup: Setup, time_ns: int) -> float:
     index = round(time_ns / 1e9 / setup.publish_period_s)
     at_state = index * setup.publish_period_s
     return at_state if round(at_state * 1e9) == time_ns else time_ns / 1e9
+
+
+def begun_at(system: System, time_s: float) -> System:
+    """The system with the elements that its orbit has at a time, where it matters when one begins.
+
+    A motion that begins anew, as after a disturbance, begins where the orbit is by then.
+    """
+    if system.autonomous or not time_s:
+        return system
+    elements = orbit_elements(*(x[0] for x in ReferenceOrbit(system).inertial_state([time_s])))
+    altitude_m = elements.pop("orbit_altitude_m")
+    law_parameters = {**system.law_parameters, **elements}
+    return replace(system, orbit_altitude_m=altitude_m, law_parameters=law_parameters)
 
 
 class Trajectory:
@@ -196,8 +217,11 @@ class Trajectory:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _new_propagator(self, state):
-        setup = self._setup
-        return Propagator(setup.system, setup.spin_rate_ratio, state, since_s=self.since_ns / 1e9)
+        setup, since_s = self._setup, self.since_ns / 1e9
+        system = begun_at(setup.system, since_s)
+        # The same spin over another Omega, if J2 has changed the elements.
+        spin = setup.spin_rate_ratio * setup.system.orbit_rate_rad_s
+        return Propagator(system, spin / system.orbit_rate_rad_s, state, since_s=since_s)
 
     def _interrupt(self):
         if self._future is not None and not self._future.cancel():
