@@ -119,7 +119,7 @@ def test_search_reports_progress_and_can_be_cancelled():
     [
         ((math.nan, -2.0), "spin_rate_ratio_from must be a finite number, got nan"),
         ((-2.0, -2.0), "must not be empty"),
-        ((-2.0, -1e9), "spin_rate_ratio must have a size"),
+        ((-2.0, -1e9), "spin_rate_ratio must be 0 or have a size"),
         ((-2.5, -2.0, 0.0), "tolerance must be at least 1e-06, got 0"),
     ],
 )

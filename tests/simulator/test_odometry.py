@@ -7,7 +7,7 @@ from nav_msgs.msg import Odometry
 from ros_harness import time_ns
 from simulation_interfaces.srv import ResetSimulation, StepSimulation
 
-from tss_ros.core import ring
+from tss_ros.core import ReferenceOrbit, ring
 from tss_ros.ros import frames
 from tss_ros.simulator import odometry
 
@@ -120,6 +120,7 @@ def test_the_centre_of_mass_has_a_frame():
     beads_m = np.arange(9.0).reshape(3, 3)
     centre_m = odometry.centre_of_mass(system, beads_m)
     np.testing.assert_allclose(centre_m, beads_m.mean(axis=0))
-    last = frames.transforms(system, 0, beads_m, "a/", {odometry.CENTRE_OF_MASS: centre_m})[-1]
+    points = {**dict(zip(system.bead_name, beads_m)), odometry.CENTRE_OF_MASS: centre_m}
+    last = frames.transforms(ReferenceOrbit(system), 0, points, "a/")[-1]
     assert (last.header.frame_id, last.child_frame_id) == ("a/orbit", "a/centre_of_mass")
     assert xyz(last.transform.translation) == centre_m.tolist()
