@@ -186,7 +186,8 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
     simulation |= {"disturbance_m": 0.0, "disturbance_seed": 0}
     assert stamp_ns(system_description(system, -2.5, ones, simulation), 4) == 0
     recorded = {name for name, topic in TOPICS.items() if topic.recorded}
-    assert recorded == {*messages, "system_description", "stability_results"}
+    others = {"system_description", "stability_results", "applied_wrenches"}
+    assert recorded == {*messages, *others}
 
 
 def test_a_file_is_completed_after_a_time(tmp_path):

@@ -292,7 +292,7 @@ def test_the_hanging_pair_of_the_shared_cases():
     assert frequencies(system, result, "out of plane") == pytest.approx([2.0], rel=1e-6)
     _, (tension,), _ = tether_state(system, result.state.position_m, result.state.velocity_m_s)
     assert tension == pytest.approx(3.0 * 250.0 * system.orbit_rate_rad_s**2 * 1000.0, rel=1e-5)
-    assert result._facts()["librations"] == "1.73205, 2 a turn"
+    assert result._facts()["librations"] == "1.73205, 2 an orbit"
 
 
 HANGING_PAIR = """
@@ -521,9 +521,9 @@ def test_modes_move_along_the_orbit_as_their_multiplier_says():
         np.testing.assert_allclose(motion.shape[-1], motion.shape[0] * result.multiplier[k],
                                    atol=1e-12)  # fmt: skip
         np.testing.assert_allclose(motion.shape[0], mode.shape, atol=1e-12)
-        assert mode.wave_number == -1 and f"{mode.frequency:.3f} a turn" in mode.in_words
+        assert mode.wave_number == -1 and f"{mode.frequency:.3f} an orbit" in mode.in_words
     swing = next(m for m in compute_modes(system, result) if abs(m.frequency - 2.0) < 1e-3)
-    assert swing.in_words == "out-of-plane libration (2.000 a turn)"
+    assert swing.in_words == "out-of-plane libration (2.000 an orbit)"
 
 
 def test_exponents_are_saved_and_shown(tmp_path):

@@ -32,6 +32,7 @@ from tss_ros.review import review
 from tss_ros.scenarios import scenario
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.checkpoint import make_checkpoint
+from tss_ros.simulator.commands import CommandTable
 
 #: Longest time that anything may take with files of this size [s], on a busy machine.
 PATIENCE_S = 20.0
@@ -183,7 +184,9 @@ class Corpus:
         self.checkpoint = make_checkpoint(propagator, 7)
         self.identity = {"mass_kg": ring().mass_kg}
         self.snapshot = str(folder / "kept.npz")
-        snapshot.write(self.snapshot, self.identity, {"index": 9, "base_ns": 5}, self.checkpoint)
+        self.place = {"index": 9, "base_ns": 5, "since_ns": 5}
+        commands = CommandTable(ring()).arrays
+        snapshot.write(self.snapshot, self.identity, self.place, self.checkpoint, commands)
 
     def check_ours(self, choose, folder):
         """A bag of ours, mutated anywhere: the old content, or a refusal that says what is lost."""
@@ -236,11 +239,11 @@ class Corpus:
         after, _ = mutated(Path(self.snapshot).read_bytes(), choose)
         file.write_bytes(after)
         try:
-            place, found = snapshot.read(str(file), self.identity, self.checkpoint, 10)
+            place, found, _ = snapshot.read(str(file), self.identity, self.checkpoint, 10)
         except TssError:
             return "refused"
         for name, array in self.checkpoint.arrays.items():
-            if not np.array_equal(found.arrays[name], array) or place != {"index": 9, "base_ns": 5}:
+            if not np.array_equal(found.arrays[name], array) or place != self.place:
                 raise Broken("a snapshot was read with other numbers")
         return "read"
 

@@ -39,7 +39,7 @@ def test_what_is_not_given_is_left_to_the_scenario(given):
         "turns": 0.0,
         "disturbance_m": 0.0,
         "command_timeout_s": 0.0,
-        "thrust_limit_n": 0.0,
+        "command_limit_n": 0.0,
         "disturbance_seed": 0,
         "wait_for_recorder": False,
         "recorder_patience_s": 60.0,

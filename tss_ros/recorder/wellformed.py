@@ -17,7 +17,7 @@ _SIZES = {
 #: Shapes of messages that are remembered for each type: one for each of so many lengths.
 SHAPES = 200
 #: Most bytes behind the last field: serialisers fill messages up to a multiple of 8 or so.
-PADDING = 8
+PADDING = 16
 
 
 class Malformed(TssError):
