@@ -16,7 +16,8 @@ _SIZES = {
 }
 #: Shapes of messages that are remembered for each type: one for each of so many lengths.
 SHAPES = 200
-#: Most bytes behind the last field: serialisers fill messages up to a multiple of 8 or so.
+#: Most bytes behind the last field: serialisers make room for up to 4 before each empty sequence of
+#: doubles, and fill messages up to a multiple of 8 or so.
 PADDING = 16
 
 
