@@ -8,6 +8,7 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from tss_interfaces.msg import RecorderStatus, SimulationStatus
@@ -30,6 +31,8 @@ from tss_ros.ros.topics import read_topics
 from tss_ros.ros.words import check_words
 
 FLUSH_PERIOD_S = 0.25
+#: How long [s] a running simulator is looked for before a recorder subscribes.
+ANNOUNCE_S = 0.5
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
 STATUS_PERIOD_S, STATUS_STEPS = 0.05, 20
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -77,7 +80,12 @@ class LoggerNode(TssNode):
         if options["in_bulk"]:
             heard = {name: t for name, t in recorded.items() if name not in STATE_TOPICS}
             heard[blocks.TOPIC] = topics[blocks.TOPIC]
-        self._topics = [
+        self._topics = []
+        self._status = self.create_publisher(
+            RecorderStatus, "recorder_status", topics["recorder_status"].qos
+        )
+        self._announce()
+        self._topics += [
             RecordedTopic(self, topic, self._on_messages, self._on_malformed)
             for topic in heard.values()
         ]
@@ -87,9 +95,6 @@ class LoggerNode(TssNode):
         self._watch = Watch(self._topics, self.get_logger())
         reports = topics["simulation_status"]
         self._reports = RecordedTopic(self, reports, self._on_reports, self._on_malformed)
-        self._status = self.create_publisher(
-            RecorderStatus, "recorder_status", topics["recorder_status"].qos
-        )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._note_lost()
         self.every(FLUSH_PERIOD_S, self._flush)
@@ -233,6 +238,18 @@ class LoggerNode(TssNode):
         self._last_step = block.first_step + len(block.time_ns) - 1
         self._report_steps()
 
+    def _announce(self):
+        """Tell a simulator that runs already of the recorder, before anything is subscribed to.
+
+        Else it runs on at full speed while topics are found one by one, and its queues overflow.
+        """
+        until = time.monotonic() + ANNOUNCE_S
+        while not self._status.get_subscription_count() and time.monotonic() < until:
+            time.sleep(0.01)
+        if self._status.get_subscription_count():
+            self._report()
+            self._status.wait_for_all_acked(Duration(seconds=ANNOUNCE_S))
+
     def _report_steps(self):
         if abs(self._last_step - self._reported_step) >= STATUS_STEPS:
             self._report()
@@ -247,7 +264,8 @@ class LoggerNode(TssNode):
             stamp=Time(nanoseconds=time.time_ns()).to_msg(),
             output=str(self._writer.directory.absolute()),
             recording=True,
-            matched=all(
+            matched=bool(self._topics)
+            and all(
                 topic.subscription.get_publisher_count()
                 for topic in self._topics
                 if topic.of_simulator
