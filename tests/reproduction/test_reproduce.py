@@ -16,9 +16,9 @@ from tss_ros.reproduction import (
     claims,
     loose_tolerance,
     motions,
+    pages,
     paper_figures,
     pulling,
-    report,
     reproduce,
     verdicts,
 )
@@ -262,6 +262,6 @@ def made_up(item):
 def test_the_page_holds_its_pictures(tmp_path):
     (tmp_path / "a.png").write_bytes(PNG)
     text = "# T\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\n![x](a.png)"
-    page = report.html(text, tmp_path)
+    page = pages.html(text, tmp_path)
     assert "<table>" in page and "data:image/png;base64,iVBORw0KGgo" in page
     assert 'src="a.png"' not in page

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import textwrap
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tss_ros.command_line import Parser
-from tss_ros.core import Cancelled
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -40,8 +36,7 @@ from tss_ros.reproduction.feedback import (
     six_beads,
     three_star,
 )
-from tss_ros.reproduction.report import table
-from tss_ros.runs.processes import run_command
+from tss_ros.reproduction.pages import compute, page_command, table
 
 # -- pictures --------------------------------------------------------------------------------------
 
@@ -295,14 +290,7 @@ def make(output: Path, stopped: Callable[[], bool]) -> None:
         If `stopped` said so.
     """
     (output / "feedback").mkdir(parents=True, exist_ok=True)
-    found = {}
-    for count, (name, work) in enumerate(WORK.items(), 1):
-        begun = time.monotonic()
-        print(f"[{count}/{len(WORK)}] {name} ...", end="", flush=True)
-        found[name] = work(stopped)
-        if stopped():
-            raise Cancelled(f"stopped after {name}")
-        print(f" {time.monotonic() - begun:.1f} s", flush=True)
+    found = compute(WORK, stopped)
     for name, (figure, of) in FIGURES.items():
         figure(found[of]).savefig(output / "feedback" / f"{name}.png")
     (output / "feedback.md").write_text(markdown(found), encoding="utf-8")
@@ -311,10 +299,4 @@ def make(output: Path, stopped: Callable[[], bool]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable `feedback`; returns its exit status."""
-    parser = Parser(prog="feedback", description=__doc__)
-    parser.add_argument(
-        "--output", type=Path, default=Path("runs/feedback"),
-        help="folder for the page (default %(default)s)",
-    )  # fmt: skip
-    options: argparse.Namespace = parser.parse_args(argv)
-    return run_command("feedback", lambda caught: make(options.output, lambda: bool(caught)))
+    return page_command("feedback", __doc__, make, argv)

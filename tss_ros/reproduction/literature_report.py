@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import os
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tss_ros.command_line import Parser
-from tss_ros.core import Cancelled
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -26,8 +22,7 @@ from tss_ros.plots.style import (
 )
 from tss_ros.reproduction import literature
 from tss_ros.reproduction.literature import NOT, PARTLY, REPRODUCED, SOURCES, Claim
-from tss_ros.reproduction.report import html, table
-from tss_ros.runs.processes import run_command
+from tss_ros.reproduction.pages import compute, html, page_command, table
 
 #: Verdicts of what keeps its shape.
 HELD = {"neutral", "asymptotically stable"}
@@ -204,7 +199,8 @@ def chains_figure(chains: Mapping[str, Any]) -> Figure:
 
 def deputies_figure(bunches: Mapping[str, Any]) -> Figure:
     """Paths of the deputies across the vertical for a small curve and the largest."""
-    figure = Figure(figsize=(9.0, 4.8), dpi=DPI, layout="constrained")
+    # Its long thin curves would make a file of megabytes at the resolution of print.
+    figure = Figure(figsize=(9.0, 4.8), dpi=DPI // 2, layout="constrained")
     shown = [row for row in bunches["rows"] if row["amplitude"] in (0.05, 0.4)]
     for axes, row in zip(figure.subplots(1, 2), shown):
         _, paths = bunches["paths"][row["amplitude"]]
@@ -363,15 +359,9 @@ def make(output: Path, stopped: Callable[[], bool]) -> None:
         If `stopped` said so.
     """
     output.mkdir(parents=True, exist_ok=True)
-    found = {}
-    for count, (name, work) in enumerate(WORK.items(), 1):
-        begun = time.monotonic()
-        print(f"[{count}/{len(WORK)}] {name} ...", end="", flush=True)
-        found[name] = work(stopped)
-        if stopped():
-            raise Cancelled(f"stopped after {name}")
-        FIGURES[name][0](found[name]).savefig(output / f"{name}.png")
-        print(f" {time.monotonic() - begun:.1f} s", flush=True)
+    found = compute(WORK, stopped)
+    for name, (draw, _) in FIGURES.items():
+        draw(found[name]).savefig(output / f"{name}.png")
     text = markdown(found)
     (output / "literature.md").write_text(text)
     (output / "literature.html").write_text(html(text, output))
@@ -380,10 +370,4 @@ def make(output: Path, stopped: Callable[[], bool]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Executable `literature`; returns its exit status."""
-    parser = Parser(prog="literature", description=__doc__)
-    parser.add_argument(
-        "--output", type=Path, default=Path("runs/literature"),
-        help="folder for the results (default %(default)s)",
-    )  # fmt: skip
-    options: argparse.Namespace = parser.parse_args(argv)
-    return run_command("literature", lambda caught: make(options.output, lambda: bool(caught)))
+    return page_command("literature", __doc__, make, argv)

@@ -3,16 +3,12 @@
 Written from the numbers of `claims`; the sentences beside the pictures say what was seen in them.
 """
 
-import base64
-import re
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
-
-from markdown_it import MarkdownIt
 
 from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M
 from tss_ros.reproduction import claims, pulling
+from tss_ros.reproduction.pages import table
 from tss_ros.reproduction.pictures import PICTURES
 from tss_ros.reproduction.verdicts import (
     HEADING,
@@ -23,10 +19,6 @@ from tss_ros.reproduction.verdicts import (
     pulling_boundaries,
     rate,
 )
-
-STYLE = """body{font:16px/1.5 sans-serif;max-width:70em;margin:2em auto;padding:0 1em}
-table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #bbb;padding:.3em .6em;
-text-align:left;vertical-align:top}img{max-width:100%}"""
 
 
 def table_1(damping: float) -> list[tuple[str, str, str, str]]:
@@ -43,19 +35,6 @@ def table_1(damping: float) -> list[tuple[str, str, str, str]]:
         ("Gravity parameter of the earth", "μ", "3.986e5 km³/s²", f"{MU_EARTH / 1e9:g} km³/s²"),
         ("Damping coefficient of tether", "C", "not stated", f"{damping:g} N s/m, identified"),
     ]
-
-
-def html(markdown_text: str, folder: Path) -> str:
-    """One self-contained page: the pictures named in the text are put into it."""
-
-    def embed(match):
-        content = base64.b64encode((folder / match[1]).read_bytes()).decode()
-        return f'src="data:image/png;base64,{content}"'
-
-    body = MarkdownIt().enable("table").render(markdown_text)
-    body = re.sub(r'src="([^":]+\.png)"', embed, body)
-    head = f"<meta charset=utf-8><title>The paper, figure by figure</title><style>{STYLE}</style>"
-    return f"<!DOCTYPE html><html lang=en>{head}<body>\n{body}</body></html>\n"
 
 
 def markdown(result: Callable[[str], Any], damping: float) -> str:
@@ -349,12 +328,3 @@ def _six_beads(result, damping):
 
 def _picture(name, title, paper, seen):
     return f"### {title}\n\n![{title}]({name}.png)\n\n*Paper:* {paper}\n\n*Here:* {seen}"
-
-
-def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-
-    def line(row):
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
-
-    return "\n".join(map(line, (heading, ["---"] * len(heading), *rows)))

@@ -21,6 +21,7 @@ from tss_ros.reproduction import (
     claims,
     loose_tolerance,
     motions,
+    pages,
     paper_figures,
     pulling,
     report,
@@ -332,7 +333,7 @@ def make(output: Path, figures: Sequence[int], caught: list[int]) -> None:
     if not figures:
         text = report.markdown(work.result, work.damping)
         work.write(output / "reproduction.md", text)
-        work.write(output / "reproduction.html", report.html(text, output))
+        work.write(output / "reproduction.html", pages.html(text, output))
         print(os.path.relpath(output / "reproduction.html"))
 
 

@@ -24,7 +24,7 @@ from tss_ros.core.stability.judge import SMALLEST_DRIFT, drift_radius, judge_mea
 from tss_ros.core.stability.modes import FAMILIES, FLAT, multipliers, stays_in_plane
 from tss_ros.core.stability.orbit_motions import ClosedMotion, motion_over_orbits, start_on_orbit
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
-from tss_ros.core.stability.result import METHODS, FloquetResult
+from tss_ros.core.stability.result import METHODS, FloquetResult, asked
 from tss_ros.core.stability.shooting import closure, from_scaled, integrate_turn, to_scaled
 
 #: Most orbits after which a motion may close, and how near w must be to such a ratio.
@@ -102,17 +102,11 @@ def floquet_over_orbits(
     if method != METHODS[0] or leading is not None:
         require_autonomous(system, f"method {method}" if leading is None else "leading")
     spin = system.spin_rate_rad_s(spin_rate_ratio)
-    question = {
-        "method": method, "spin_rate_ratio": spin_rate_ratio, "spin_rate_rad_s": spin,
-        "tether_law": system.tether_law,
-    }  # fmt: skip
+    question = asked(method, system, spin)
     none = State(system.layout_m, np.zeros_like(system.layout_m))
     if reason := why_not_periodic(system, spin_rate_ratio):
         words = f"{reason}; lyapunov_exponents tells how fast displacements grow"
-        return FloquetResult(
-            **question, period_s=system.period_s(spin_rate_ratio), state=state or none,
-            message=words,
-        )  # fmt: skip
+        return FloquetResult(**question, state=state or none, message=words)
     turns, orbits = turns_and_orbits(spin_rate_ratio)
     question |= {"orbits": orbits, "period_s": 2.0 * math.pi * orbits / system.orbit_rate_rad_s}
     missed_by = math.nan
@@ -177,18 +171,10 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
         words += f"; {turn.switches} slack/taut switches"
     if radius > SMALLEST_DRIFT and integrator.spin:
         words += f"; growth of the spin below {radius:.1e} is not told from its drift"
-    order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
+    order = np.argsort(-np.abs(multiplier), kind="stable")
     return FloquetResult(
         **question,
-        multiplier=multiplier[order],
-        family=tuple(str(name) for name in family[order]),
-        max_modulus=judgement.max_modulus,
-        max_modulus_nontrivial=judgement.max_modulus_nontrivial,
-        verdict=judgement.verdict,
-        deciding_modulus=float(abs(multiplier[decided])) if decided >= 0 else math.nan,
-        deciding_family=str(family[decided]) if decided >= 0 else "",
-        tolerance=float(np.min(judgement.tolerance)),
-        jordan_error=judgement.jordan_error,
+        **judgement.fields(multiplier, vectors, family, order),
         closure_residual=found.residual,
         initial_closure_residual=missed_by,
         spin_loss=found.drive / max(abs(turns), 1),
@@ -197,7 +183,6 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
         pushing_share=seen.pushing_share,
         state=start,
         message=words,
-        vectors=vectors[:, order],
         **proofs,
     )
 

@@ -30,7 +30,7 @@ from tss_ros.core.stability.judge import (
 )
 from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
-from tss_ros.core.stability.result import METHODS, FloquetResult
+from tss_ros.core.stability.result import METHODS, FloquetResult, asked
 from tss_ros.core.stability.shooting import (
     closure,
     flow_direction,
@@ -226,39 +226,19 @@ def _in_brief(integrator, motion, cancelled):
 def _without_motion(method, system, spin, state, words, missed_by=math.nan):
     """The result where there is no configuration, no turn, or no motion that was found."""
     return FloquetResult(
-        **_question(method, system, spin), state=state, message=words,
+        **asked(method, system, spin), state=state, message=words,
         initial_closure_residual=missed_by,
     )  # fmt: skip
-
-
-def _question(method, system, spin):
-    return {
-        "method": method,
-        "spin_rate_ratio": spin / system.orbit_rate_rad_s,
-        "spin_rate_rad_s": spin,
-        "period_s": 2.0 * math.pi / abs(spin or system.orbit_rate_rad_s),
-        "tether_law": system.tether_law,
-    }
 
 
 def _result(method, integrator, spectrum, family, judgement, residual=(), **known):
     """The result of a judgement of multipliers and vectors, largest modulus first."""
     multiplier, vectors = spectrum
-    order, decided = np.argsort(-np.abs(multiplier), kind="stable"), judgement.deciding
+    order = np.argsort(-np.abs(multiplier), kind="stable")
     return FloquetResult(
-        **_question(method, integrator.system, integrator.spin),
-        multiplier=multiplier[order],
-        family=tuple(str(name) for name in family[order]),
-        max_modulus=judgement.max_modulus,
-        max_modulus_nontrivial=judgement.max_modulus_nontrivial,
-        verdict=judgement.verdict,
-        deciding_modulus=float(abs(multiplier[decided])) if decided >= 0 else math.nan,
-        deciding_family=str(family[decided]) if decided >= 0 else "",
-        tolerance=float(np.min(judgement.tolerance)),
-        trivial_error=judgement.trivial_error,
-        jordan_error=judgement.jordan_error,
+        **asked(method, integrator.system, integrator.spin),
+        **judgement.fields(multiplier, vectors, family, order),
         residual=np.asarray(residual)[order] if len(residual) else np.empty(0),
-        vectors=vectors[:, order],
         **known,
     )
 

@@ -24,7 +24,7 @@ from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import judge_exponents
 from tss_ros.core.stability.modes import label_hanging, multipliers, stays_in_plane
-from tss_ros.core.stability.result import FloquetResult
+from tss_ros.core.stability.result import FloquetResult, asked
 from tss_ros.core.stability.shooting import closure
 
 #: Most cycles of the fastest mode that are integrated to certify the exponents, and after how many
@@ -48,7 +48,7 @@ def hanging_floquet(
         start = _start(resting, state, correct and method != "frozen")
     except NoSteadyState as error:
         return FloquetResult(
-            **_question(method, system), message=str(error),
+            **asked(method, system, 0.0), message=str(error),
             state=state or State(system.layout_m, np.zeros((system.n, 3))),
         )  # fmt: skip
     integrator = Integrator(resting, 0.0, rtol, np.max(np.linalg.norm(start.position_m, axis=1)))
@@ -70,21 +70,11 @@ def hanging_floquet(
         words.append(f"the {leading} that decay least of {exponent.size}, all of which were judged")
     with np.errstate(under="ignore", over="ignore"):
         multiplier = np.exp(exponent * integrator.period_s)  # Eq. (46)
-    order, decided = np.argsort(-exponent.real, kind="stable")[:leading], judgement.deciding
+    order = np.argsort(-exponent.real, kind="stable")[:leading]
     return FloquetResult(
-        **_question(method, system),
-        multiplier=multiplier[order],
+        **asked(method, system, 0.0),
+        **judgement.fields(multiplier, vectors, family, order),
         exponent=exponent[order],
-        family=tuple(str(name) for name in family[order]),
-        vectors=vectors[:, order],
-        max_modulus=judgement.max_modulus,
-        max_modulus_nontrivial=judgement.max_modulus_nontrivial,
-        verdict=judgement.verdict,
-        deciding_modulus=float(abs(multiplier[decided])),
-        deciding_family=str(family[decided]),
-        tolerance=float(np.min(judgement.tolerance)),
-        trivial_error=judgement.trivial_error,
-        jordan_error=judgement.jordan_error,
         spin_loss=0.0,
         pushing_share=float(np.mean(tension < 0.0)),
         state=start,
@@ -92,16 +82,6 @@ def hanging_floquet(
         **_closure(integrator, start, cancelled),
         **proofs,
     )
-
-
-def _question(method, system):
-    return {
-        "method": method,
-        "spin_rate_ratio": 0.0,
-        "spin_rate_rad_s": 0.0,
-        "period_s": system.period_s(0.0),
-        "tether_law": system.tether_law,
-    }
 
 
 def _start(system, state, correct):

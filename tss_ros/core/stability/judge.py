@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,21 @@ class Judgement:
     max_modulus: float
     max_modulus_nontrivial: float
     deciding: int
+
+    def fields(
+        self, multiplier: np.ndarray, vectors: np.ndarray, family: np.ndarray, order: np.ndarray
+    ) -> dict[str, Any]:
+        """What a `FloquetResult` says of the multipliers judged (k,), by name, in an order."""
+        decided = self.deciding
+        same = ("verdict", "trivial_error", "jordan_error", "max_modulus", "max_modulus_nontrivial")
+        return {name: getattr(self, name) for name in same} | {
+            "multiplier": multiplier[order],
+            "vectors": vectors[:, order],
+            "family": tuple(str(name) for name in family[order]),
+            "deciding_modulus": float(abs(multiplier[decided])) if decided >= 0 else math.nan,
+            "deciding_family": str(family[decided]) if decided >= 0 else "",
+            "tolerance": float(np.min(self.tolerance)),
+        }
 
 
 def drift_radius(closure_residual: float, drift: float = 0.0, error: float = 0.0) -> float:

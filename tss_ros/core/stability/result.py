@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tss_ros.core.model.laws import TETHER_LAWS
-from tss_ros.core.model.system import State
+from tss_ros.core.model.system import State, System
 from tss_ros.core.presentation import Presented, a_turn, data_frame, found, turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.core.stored import Stored
@@ -233,6 +233,18 @@ _REASONS = {
     "asymptotically stable": "all multipliers of the shape lie inside the unit circle",
     "undecided": "no leading multiplier that was found lies outside, but some were not found",
 }
+
+
+def asked(method: str, system: System, spin_rate_rad_s: float) -> dict[str, Any]:
+    """What a `FloquetResult` says of the question, by name."""
+    ratio = spin_rate_rad_s / system.orbit_rate_rad_s
+    return {
+        "method": method,
+        "spin_rate_ratio": ratio,
+        "spin_rate_rad_s": spin_rate_rad_s,
+        "period_s": 2.0 * math.pi / abs(spin_rate_rad_s or system.orbit_rate_rad_s),
+        "tether_law": system.tether_law,
+    }
 
 
 def in_words(family: str, modulus: float, closure_residual: float) -> str:
