@@ -55,11 +55,12 @@ def read_commands(path: str | Path, system: System) -> list[tuple[int, Commands]
                 )
     wrenches = found.get((_KINDS[0], topics[0]), []) if topics else []
     try:
-        return [
-            (w.header.stamp.sec * 10**9 + w.header.stamp.nanosec, commands_of(system, w))
+        # Of several changes at one time, as at the beginning, the last one is what acted.
+        return list({
+            w.header.stamp.sec * 10**9 + w.header.stamp.nanosec: commands_of(system, w)
             for w in wrenches
             if w.run == 0
-        ]
+        }.items())  # fmt: skip
     except (TssError, ValueError) as error:
         raise BagError(f"{str(path)!r} has commands of another system: {error}") from None
 
