@@ -1,6 +1,7 @@
 """The public names of the core; `tss_ros.core` has them all and loads this when asked for one."""
 
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
+from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
 from tss_ros.core.model.elements import orbit_elements
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
@@ -9,7 +10,6 @@ from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
 from tss_ros.core.model.system import State, System
-from tss_ros.core.model.thrust import Commands
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, DisturbedMotion, confirm
 from tss_ros.core.stability.critical_rates import CAUSES, CriticalRate, find_critical_rates

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from tss_ros.core import Commands, System
-from tss_ros.core.model.thrust import FRAMES
+from tss_ros.core.model.commands import FRAMES
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, header
 from tss_ros.messages.topics import read_topics

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from tss_ros.core import System, TssError
-from tss_ros.core.model.thrust import FRAMES
+from tss_ros.core.model.commands import FRAMES
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator.commands import Command

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tss_ros.core import Commands, System, TssError
-from tss_ros.core.model.thrust import FRAMES
+from tss_ros.core.model.commands import FRAMES
 
 #: Most commands that are kept besides those that hold.
 MOST_KEPT = 1000
@@ -27,7 +27,7 @@ class Command(NamedTuple):
     place : int
         Index of the bead, or of the tether.
     frame : int
-        Index into `thrust.FRAMES`; `CUT` for a tether that fails.
+        Index into `commands.FRAMES`; `CUT` for a tether that fails.
     force_n : tuple of float
         [N] along x, y and z.
     """

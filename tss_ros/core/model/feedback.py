@@ -9,6 +9,7 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import averaged_state
 from tss_ros.core.model.equilibria import equilibrium
+from tss_ros.core.model.feedback_thrust import add_thrust
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.feedback import (
     PARAMETERS,
@@ -16,7 +17,6 @@ from tss_ros.core.model.laws.feedback import (
     SHAPE_KEEPING,
 )
 from tss_ros.core.model.system import State, System
-from tss_ros.core.model.thrusting import add_thrust
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.block_lu import Symbolic
 

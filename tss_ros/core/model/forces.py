@@ -17,6 +17,8 @@ import math
 import numpy as np
 
 from tss_ros.core.arguments import checked
+from tss_ros.core.model.commands import add_commanded_thrust
+from tss_ros.core.model.feedback_thrust import add_thrust, add_thrust_gradient
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
@@ -31,8 +33,6 @@ from tss_ros.core.model.made import (
 )
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
-from tss_ros.core.model.thrust import add_thrust as add_commanded_thrust
-from tss_ros.core.model.thrusting import add_thrust, add_thrust_gradient
 from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
 
 

@@ -31,7 +31,7 @@ class KernelArrays(NamedTuple):
     drive_across : tuple of two float
         [1/s^2] the same about x and y, in the orbit frame only; 0 but for other axes than z.
     thrust : ndarray, shape (3, n, 3)
-        [m/s^2] of each bead by thrusters, in each of `thrust.FRAMES`; (0, 0, 0) where none acts.
+        [m/s^2] of each bead by thrusters, in each of `commands.FRAMES`; (0, 0, 0) where none acts.
     thrust_axis : tuple of float
         Unit vector in the orbit frame about which the axes of `thrust` that spin turn.
     thrust_spin : float
@@ -46,7 +46,7 @@ class KernelArrays(NamedTuple):
         Values of `laws.LAW_PARAMETERS`.
     satellite : ndarray, shape (n,)
         One over the number of satellites for each of them, 0 for other beads; empty where no
-        feedback acts, see `model.thrusting`.
+        feedback acts, see `model.feedback_thrust`.
     shape : ndarray, shape (n, 3)
         [m] places in the steady shape from the mean of the satellites, which the feedback keeps.
     aim : float

@@ -11,7 +11,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import Cancelled, TssError
-from tss_ros.core.model.thrust import Commands
+from tss_ros.core.model.commands import Commands
 from tss_ros.core.motion import integrate
 from tss_ros.core.motion.state import IntegratorState, Samples
 from tss_ros.core.motion.step_control import EXPLICIT, IMPLICIT
@@ -29,7 +29,7 @@ class CommandedMotion:
     motion : IntegratorState
         Without variations.
     since_s : float
-        [s] when time 0 of the motion is for the axes of forces, `thrust.FRAMES`.
+        [s] when time 0 of the motion is for the axes of forces, `commands.FRAMES`.
     """
 
     #: Accepted steps between two looks at `cancelled`.

@@ -335,7 +335,7 @@ class Propagator(CommandedMotion):
         "auto", or "radau" or "taylor" for one kind of steps only: implicit ones suit stiff damping,
         explicit ones tethers that ring or switch often.
     since_s : float
-        [s] when time 0 is for the axes of forces from outside, `thrust.FRAMES`.
+        [s] when time 0 is for the axes of forces from outside, `commands.FRAMES`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the thrusters of satellites that hold the formation are given: see `model.thrusting`."""
+"""What the thrusters that hold the formation are given: see `model.feedback_thrust`."""
 
 from tss_ros.core.model.laws.contract import LawParameter
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from tss_ros import core
 from tss_ros.core import Commands, Propagator, TssError
-from tss_ros.core.model.thrust import FRAMES
+from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.motion.state import IntegratorState
 
 RING = core.ring(damping_n_s_per_m=100.0)

@@ -167,7 +167,7 @@ def _orbit_axes(arrays, time):
 
 
 @kernel
-def add_thrust(arrays, time, a):
+def add_commanded_thrust(arrays, time, a):
     """Add the accelerations (n, 3) by thrusters, in the turning frame at a time [s]."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = _orbit_axes(arrays, time)
     angle = (arrays.rate + arrays.spin) * time
