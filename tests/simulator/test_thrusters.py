@@ -12,6 +12,7 @@ import pytest
 import ros_harness
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_harness import motion, time_ns
 from simulation_interfaces.msg import Result
@@ -62,7 +63,9 @@ class Pilot:
         self.publishers[satellite].publish(wrench(*arguments, **options))
 
     def step(self, count=1):
-        """Take steps, and return the state after them."""
+        """Take steps once all commands have arrived, and return the state after them."""
+        for publisher in self.publishers.values():
+            assert publisher.wait_for_all_acked(Duration(seconds=ros_harness.START_S))
         self.sim.do(StepSimulation, steps=count)
         return self.sim.settled()
 
@@ -136,6 +139,7 @@ def test_hostile_commands_are_refused_with_a_warning_and_change_nothing(pilot):
         if i % 100 == 0:
             pilot.sim.spin_until(lambda: True, 1, "")
     pilot.step(1)
+    pilot.sim.spin_until(lambda: pilot.applied, ros_harness.START_S, "what is applied")
     assert list(pilot.applied[-1].force_n) == [2.999, 0.0, 0.0] and len(pilot.applied) == 1
     pilot.send((5.0, 0.0, 0.0), stamp=Time(sec=hour))
     pilot.step(1)
