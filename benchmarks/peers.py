@@ -64,7 +64,7 @@ class Compiled:
 
         @njit(error_model="numpy")
         def lengths(x, excess, growth):
-            stretch(arrays, x[:size].reshape(n, 3), x[size:].reshape(n, 3), excess, growth)
+            stretch(arrays, 0.0, x[:size].reshape(n, 3), x[size:].reshape(n, 3), excess, growth)
 
         @njit(error_model="numpy")
         def by_length(x, taut):

@@ -83,7 +83,7 @@ class Problem:
         """Which tethers start taut, shape (m,): those longer than at rest, or growing."""
         excess, growth = np.empty((2, self.system.m))
         arrays = kernel_arrays(self.system, self.spin)
-        forces.stretch(arrays, *self._parts(self.turning()), excess, growth)
+        forces.stretch(arrays, 0.0, *self._parts(self.turning()), excess, growth)
         return (excess > 0.0) | ((excess == 0.0) & (growth > 0.0))
 
     def orbit(self):

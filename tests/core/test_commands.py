@@ -171,10 +171,10 @@ def test_energy_changes_by_the_work_of_thrust_and_by_damping():
 
 def plan():
     """Edges within steps, two of them within one; forces, a cut, and a force that ends."""
-    cut = Commands(PUSH.force_n, np.array([False, True, False]))
+    cut = PUSH._replace(cut=np.array([False, True, False]))
     return [
         (100.5, PUSH),
-        (103.25, Commands(-2.0 * PUSH.force_n, PUSH.cut)),
+        (103.25, PUSH._replace(force_n=-2.0 * PUSH.force_n)),
         (400.0, PUSH),
         (650.125, cut),
         (800.0, cut._replace(force_n=np.zeros_like(PUSH.force_n))),
@@ -263,8 +263,8 @@ def test_wrong_commands_are_refused():
         ([(begun - 1.0, PUSH)], "must not lie before"),
         ([(math.nan, PUSH)], "finite and increase"),
         ([(900.0, PUSH), (900.0, PUSH)], "finite and increase"),
-        ([(900.0, Commands(PUSH.force_n * math.nan, PUSH.cut))], "finite"),
-        ([(900.0, Commands(PUSH.force_n[:2], PUSH.cut))], r"shape \(3, 3, 3\)"),
+        ([(900.0, PUSH._replace(force_n=PUSH.force_n * math.nan))], "finite"),
+        ([(900.0, PUSH._replace(force_n=PUSH.force_n[:2]))], r"shape \(3, 3, 3\)"),
     ):
         with pytest.raises(TssError, match=said):
             motion.command(given)

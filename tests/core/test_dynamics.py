@@ -24,7 +24,7 @@ from tss_ros.core import (
 from tss_ros.core.model import forces
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import MU_EARTH
-from tss_ros.core.motion import propagator
+from tss_ros.core.motion import integrate
 from tss_ros.core.motion.propagator import Integrator
 
 
@@ -357,7 +357,7 @@ def test_bad_states_are_refused():
 
 
 def test_a_motion_of_many_that_cannot_be_continued_is_named(monkeypatch):
-    monkeypatch.setattr(propagator, "MOST_SWITCHES_PER_TURN", 3)
+    monkeypatch.setattr(integrate, "MOST_SWITCHES_PER_TURN", 3)
     system = ring(damping_n_s_per_m=1.0)
     start = initial_state(system, -2.2)
     r = start.position_m + 10.0 * np.sin(np.arange(9.0)).reshape(3, 3)

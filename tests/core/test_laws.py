@@ -324,7 +324,7 @@ def test_the_tension_shown_is_the_one_that_acts(law):
     state = a_state(system, 1.002)
     r, v = state.position_m, state.velocity_m_s
     arrays, pull = kernel_arrays(system, 0.0), np.empty(system.m)
-    forces.tensions(arrays, v, r, pull)
+    forces.tensions(arrays, 0.0, v, r, pull)
     length, shown, _ = forces.tether_state(system, r, v)
     np.testing.assert_allclose(shown, pull, rtol=1e-13)
     for k, (i, j) in enumerate(system.tether_ends):

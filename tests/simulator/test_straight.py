@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
 from tss_ros.core import Cancelled, TssError
-from tss_ros.core.motion import propagator
+from tss_ros.core.motion import integrate
 from tss_ros.ros.topics import message_class
 from tss_ros.simulator import straight
 
@@ -135,7 +135,7 @@ def test_a_bag_that_exists_is_left_alone(tmp_path, capsys):
 
 
 def test_a_motion_that_cannot_go_on_is_in_the_bag_to_its_end(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(propagator, "MOST_SWITCHES_PER_TURN", 0)
+    monkeypatch.setattr(integrate, "MOST_SWITCHES_PER_TURN", 0)
     words = ["--turns", "4", "--disturbance-m", "300", "--disturbance-seed", "2"]
     words += ["--override", "spin_rate_ratio=-1.9", "--output", str(tmp_path / "bag")]
     assert straight.main(words) == 1

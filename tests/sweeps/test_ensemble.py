@@ -26,7 +26,7 @@ from tss_ros.core import (
     initial_state,
     ring,
 )
-from tss_ros.core.motion import propagator
+from tss_ros.core.motion import integrate
 from tss_ros.scenarios import scenario
 from tss_ros.sweeps.ensemble import (
     MOTIONS,
@@ -180,7 +180,7 @@ def test_interrupted_it_keeps_what_is_done_and_the_same_command_goes_on(tmp_path
 
 
 def test_a_motion_that_cannot_go_on_is_a_row_with_its_reason(monkeypatch):
-    monkeypatch.setattr(propagator, "MOST_SWITCHES_PER_TURN", 2)
+    monkeypatch.setattr(integrate, "MOST_SWITCHES_PER_TURN", 2)
     asked = ("three_star", (-2.3, -2.3, 1), [300.0], (0, 7), 4)
     motions = ensemble(*asked)
     failed = [row["disturbance_seed"] for row in motions.to_pylist() if row["error"]]

@@ -9,6 +9,8 @@ from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assembl
 from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.parameters import PARAMETERS, parameter_of, with_parameter
+from tss_ros.core.model.reel_plans import reel_plan, reel_profile
+from tss_ros.core.model.reels import deployed_system, whole_state
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.stability.confirmation import Confirmation, DisturbedMotion, confirm
@@ -85,6 +87,7 @@ __all__ = [
     "compute_floquet",
     "compute_modes",
     "confirm",
+    "deployed_system",
     "deviation",
     "disturbed",
     "elastic_energy",
@@ -100,10 +103,13 @@ __all__ = [
     "orbit_elements",
     "parameter_of",
     "pushing_share",
+    "reel_plan",
+    "reel_profile",
     "ring",
     "simulate",
     "sweep",
     "tether_state",
+    "whole_state",
     "with_parameter",
 ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +11,11 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.frames import as_turned
+from tss_ros.core.model.reel_plans import rests_over
 from tss_ros.core.model.system import State, System, finite
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.presentation import Presented, data_frame, found, turn_in_words
@@ -261,6 +263,7 @@ def simulate(
     state: State | None = None,
     rtol: float = 1e-10,
     integrator: str = "auto",
+    plan: Sequence[tuple[float, Commands]] = (),
     cancelled: Callable[[], bool] | None = None,
 ) -> Trajectory:
     """Simulate a formation from its steady configuration or a given state, after a push.
@@ -281,8 +284,8 @@ def simulate(
         the last whole period.
     state : State, optional
         Undisturbed start; `initial_state` if not given.
-    rtol, integrator
-        See `Propagator`.
+    rtol, integrator, plan
+        See `Propagator`. Tethers need not be out as a whole: see `deployed_system`.
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
 
@@ -312,10 +315,11 @@ def simulate(
         )
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
-    propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator)
+    propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator, plan=plan)
     t_s = np.arange(math.floor(count) + 1) * between
     position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+    rests = rests_over(system, plan, t_s) if plan else None
+    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(
         system=system,

@@ -83,8 +83,8 @@ def _derivative(arrays, state):
     n, m = arrays.inv_mass.size, arrays.rest.size
     v, r = state[: 3 * n].reshape(n, 3), state[3 * n :].reshape(n, 3)
     excess, growth, pull = np.empty(m), np.empty(m), np.empty(m)
-    stretch(arrays, v, r, excess, growth)
-    tensions(arrays, v, r, pull)
+    stretch(arrays, 0.0, v, r, excess, growth)
+    tensions(arrays, 0.0, v, r, pull)
     change = np.empty(6 * n)
     acts = (excess > 0.0) & (arrays.pushes | (pull > 0.0))
     acceleration(arrays, acts, 0.0, v, r, change[: 3 * n].reshape(n, 3))

@@ -40,7 +40,10 @@ _ARRAYS = {
 
 
 def _parts(propagator):
-    """Views of all that an integrator remembers, by the names of a snapshot."""
+    """Views of all that an integrator remembers, by the names of a snapshot.
+
+    Arrays are of the beads and tethers that are not on a reel.
+    """
     state = propagator.integrator_state
     numbers = {name: state.progress[field] for name, field in _NUMBERS.items()}
     return numbers | {name: getattr(state, array) for name, array in _ARRAYS.items()}
@@ -63,15 +66,22 @@ class Checkpoint(NamedTuple):
 
 def make_checkpoint(propagator: Propagator, index: int) -> Checkpoint:
     """Copy what an integrator remembers; `index` is the state that it has given last."""
-    arrays = {name: np.array(part) for name, part in _parts(propagator).items()}
-    force_n, cut = map(np.array, propagator.commands)
-    arrays |= {"commanded_force_n": force_n, "cut": cut}
+    arrays, whole = {}, propagator.blank_state
+    for name, part in _parts(propagator).items():
+        # As large as with nothing on a reel, so that all checkpoints of a system look alike.
+        arrays[name] = np.zeros_like(getattr(whole, _ARRAYS.get(name, ""), part))
+        arrays[name][tuple(map(slice, part.shape))] = part
+    force_n, cut, reel = map(np.array, propagator.commands)
+    arrays |= {"commanded_force_n": force_n, "cut": cut, "reel": reel}
+    arrays["segments_out"] = np.array(propagator.segments_out)
     return Checkpoint(index, arrays | {"commanded_since_s": np.array(propagator.commanded_s)})
 
 
 def resume(propagator: Propagator, checkpoint: Checkpoint) -> None:
     """Put an integrator of the same system where a checkpoint was made."""
-    commands = Commands(checkpoint.arrays["commanded_force_n"], checkpoint.arrays["cut"])
-    propagator.set_commands(commands, float(checkpoint.arrays["commanded_since_s"]))
+    arrays = checkpoint.arrays
+    commands = Commands(*(arrays[name] for name in ("commanded_force_n", "cut", "reel")))
+    since_s, out = float(arrays["commanded_since_s"]), arrays["segments_out"].tolist()
+    propagator.set_commands(commands, since_s, out)
     for name, part in _parts(propagator).items():
-        part[...] = checkpoint.arrays[name]
+        part[...] = arrays[name][tuple(map(slice, part.shape))]

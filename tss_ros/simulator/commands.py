@@ -153,4 +153,4 @@ class CommandTable:
             elif newest[command.place] is command:
                 acting.force_n[:, command.place] = 0.0
             if i + 1 == len(events) or events[i + 1][0] > time_ns:
-                yield time_ns, Commands(*map(np.copy, acting))
+                yield time_ns, acting.checked(self._system)

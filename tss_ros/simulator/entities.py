@@ -21,11 +21,8 @@ from simulation_interfaces.msg import (
 from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 
-from tss_ros.core import System, TssError
-from tss_ros.core.model.feedback import with_feedback
-from tss_ros.core.model.forces import acceleration, acting_tethers
-from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import reference_orbit
+from tss_ros.core import State, System, TssError
+from tss_ros.core.motion.commanded import commanded_acceleration
 from tss_ros.ros.messages import stamp
 from tss_ros.simulator.control import Code, Refused
 from tss_ros.simulator.simulation import Simulation
@@ -100,15 +97,10 @@ def states(simulation: Simulation, indices: Iterable[int], frame_id: str) -> lis
     """States of entities, as messages."""
     system, sample = simulation.setup.system, simulation.newest
     r, v = sample.position_m, sample.velocity_m_s
-    a = np.empty_like(r)
-    # Without spin the turning frame of the forces is the orbit frame.
-    spin, acting = system.spin_rate_rad_s(simulation.setup.spin_rate_ratio), simulation.acting
-    taut, now_s = acting_tethers(system, r, v) & ~acting.cut, sample.time_ns / 1e9
-    if system.autonomous:
-        arrays = with_feedback(kernel_arrays(system, 0.0), system, spin)
-        acceleration(acting.in_arrays(arrays, system, spin), taut, now_s, v, r, a)
-    else:
-        a = reference_orbit(system).relative_acceleration(now_s, taut, v, r)
+    a = commanded_acceleration(
+        system, simulation.setup.spin_rate_ratio, simulation.acting, sample.time_ns / 1e9,
+        State(r, v),
+    )  # fmt: skip
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

@@ -286,7 +286,7 @@ class Simulation:
 
     def _tell(self, time_ns, acting, anew=False):
         """Keep for `take_changes` what acts, if that is news."""
-        if acting != self._told or (anew and acting.acts):
+        if acting != self._told or (anew and acting.acts(self.setup.system)):
             self._changes.append((time_ns, acting))
             self._told = acting
 

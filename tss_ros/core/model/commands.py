@@ -1,9 +1,9 @@
-"""What acts on a formation from outside: thrusters that push its beads, and tethers that fail."""
+"""What acts on a formation from outside: thrusters, reels of tethers, and tethers that fail."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,16 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.model.kernel_arrays import KernelArrays
+from tss_ros.core.model.reels import (
+    NEVER_M,
+    SHORTEST_M,
+    Deployment,
+    deployment,
+    reel_index,
+    reels,
+    segment_rests,
+    whole_lengths,
+)
 from tss_ros.core.model.sky import CENTRE_VELOCITY, sky_at
 from tss_ros.core.model.system import System
 from tss_ros.core.numerics.simd import kernel
@@ -18,8 +28,8 @@ from tss_ros.core.numerics.simd import kernel
 #: Axes that a force may rest in: those of the orbit frame; those that the orbit frame has at time
 #: 0, fixed among the stars; those at time 0, turning with the spin against the orbit frame.
 FRAMES = ("orbit", "inertial", "spinning")
-#: Rest length [m] of a tether that is cut: it never becomes taut.
-NEVER_M = 1e15
+#: How far a rest length [m] may jump where commands change, relative to it and in metres.
+CONTINUOUS = 1e-9, 1e-6
 
 
 class Commands(NamedTuple):
@@ -31,15 +41,22 @@ class Commands(NamedTuple):
         [N] on each bead, along the axes of each of `FRAMES`; they add up.
     cut : ndarray, shape (m,), bool
         Which tether segments pull no longer.
+    reel : ndarray, shape (p, 5)
+        For each of `reels.reels` the rest length out as a cubic: a time [s], and from there on
+        length [m], rate [m/s], and the coefficients of the square and the cube of the time passed.
     """
 
     force_n: np.ndarray
     cut: np.ndarray
+    reel: np.ndarray
 
     @classmethod
     def none(cls, system: System) -> Commands:
-        """No force, and every tether whole."""
-        return cls(np.zeros((len(FRAMES), system.n, 3)), np.zeros(system.m, dtype=bool))
+        """No force, and every tether whole and out."""
+        lengths = whole_lengths(system)
+        reel = np.zeros((lengths.size, 5))
+        reel[:, 1] = lengths
+        return cls(np.zeros((len(FRAMES), system.n, 3)), np.zeros(system.m, dtype=bool), reel)
 
     @classmethod
     def of(
@@ -47,8 +64,9 @@ class Commands(NamedTuple):
         system: System,
         forces: Iterable[tuple[str, str, Sequence[float]]] = (),
         cut: Iterable[str] = (),
+        reel: Mapping[str, Sequence[float]] | None = None,
     ) -> Commands:
-        """Forces and failures by name.
+        """Forces, failures and reels by name.
 
         Parameters
         ----------
@@ -57,11 +75,15 @@ class Commands(NamedTuple):
             Names of a bead and of one of `FRAMES`, and x, y, z [N].
         cut : iterable of str
             Names of tether segments.
+        reel : dict of str to sequence of float
+            By name of a whole tether: a time [s], and the rest length out from there on as up to
+            four coefficients, [m], [m/s] and so on.
 
         Raises
         ------
         TssError
-            If there is no bead, frame or segment of a name, or if a force is no three numbers.
+            If there is no bead, frame, segment or tether of a name, or if a force is no three
+            numbers.
         """
         commands = cls.none(system)
         for bead, frame, force_n in forces:
@@ -71,6 +93,13 @@ class Commands(NamedTuple):
             commands.force_n[place] += force_n
         for tether in cut:
             commands.cut[_index("tether", tether, system.tether_name)] = True
+        for tether, numbers in (reel or {}).items():
+            if not 2 <= np.size(numbers) <= 5:
+                raise TssError(
+                    f"reel of {tether} must be a time and 1 to 4 coefficients, got {numbers!r:.80}"
+                )
+            row = commands.reel[reel_index(system, tether)]
+            row[:], row[: np.size(numbers)] = 0.0, numbers
         return commands.checked(system)
 
     @property
@@ -79,9 +108,96 @@ class Commands(NamedTuple):
         return bool(self.force_n.any())
 
     @property
-    def acts(self) -> bool:
+    def unreels(self) -> bool:
+        """Whether a rest length changes."""
+        return bool(self.reel[:, 2:].any())
+
+    def acts(self, system: System) -> bool:
         """Whether there is anything but what acts without commands."""
-        return self.pushes or bool(self.cut.any())
+        return self != Commands.none(system)
+
+    def all_out(self, system: System) -> bool:
+        """Whether rest lengths are those of the system, and stay."""
+        return not self.unreels and np.array_equal(self.reel[:, 1], whole_lengths(system))
+
+    def part_out(self, system: System, time_s: float) -> Deployment:
+        """What of a system is out at a time [s]."""
+        lengths = self.lengths_out(time_s)[0]
+        out = (reel.segments_out(length) for reel, length in zip(reels(system), lengths))
+        return deployment(system, tuple(out))
+
+    def shifted(self, by_s: float) -> Commands:
+        """The same for a clock that shows so much [s] more."""
+        reel = np.array(self.reel)
+        reel[:, 0] += by_s
+        return self._replace(reel=reel)
+
+    def lengths_out(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rest length [m] out of each whole tether at times (...), and its rate [m/s]: (..., p)."""
+        since, a, b, c, d = self.reel.T
+        past = np.asarray(time_s, dtype=float)[..., None] - since
+        return ((d * past + c) * past + b) * past + a, (3.0 * d * past + 2.0 * c) * past + b
+
+    def rests(self, system: System, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rest length [m] of each segment at times (...), and its rate [m/s]: (..., m)."""
+        return segment_rests(system, *self.lengths_out(time_s))
+
+    def crossings(self, reel: int, length_m: float, first_s: float, last_s: float) -> list[float]:
+        """Times [s] between two at which so much of a whole tether is out, in order."""
+        since, *cubic = self.reel[reel]
+        cubic[0] -= length_m
+        roots = np.polynomial.Polynomial(cubic).roots() if any(cubic[1:]) else np.empty(0)
+        times = since + np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * (1.0 + np.abs(roots))])
+        return sorted(float(t) for t in times if first_s < t < last_s)
+
+    def hand_overs(
+        self, system: System, first_s: float, last_s: float
+    ) -> list[tuple[float, tuple[int, ...]]]:
+        """When beads leave reels or are taken in.
+
+        Parameters
+        ----------
+        system : System
+        first_s, last_s : float
+            [s] while these commands act; the last one may be infinite.
+
+        Returns
+        -------
+        list of (float, tuple of int)
+            Times [s] from the first one on, and segments out of each whole tether from then on.
+        """
+        lines = reels(system)
+        edges = {first_s}
+        for i, line in enumerate(lines):
+            if self.reel[i, 2:].any():
+                for edge_m in line.edges_m:
+                    edges.update(self.crossings(i, edge_m, first_s, last_s))
+        edges, found = [*sorted(edges), last_s], []
+        for begin, end in zip(edges, edges[1:]):
+            middle = 0.5 * (begin + end) if end < math.inf else begin + 1.0
+            lengths = self.lengths_out(middle)[0]
+            out = tuple(line.segments_out(x) for line, x in zip(lines, lengths))
+            if not found or out != found[-1][1]:
+                found.append((begin, out))
+        return found
+
+    def check_reels(self, system: System, before: Commands, first_s: float, last_s: float) -> None:
+        """Raise TssError unless reels go on from others at a time [s], and last until another."""
+        there, here = before.lengths_out(first_s)[0], self.lengths_out(first_s)[0]
+        for i, line in enumerate(reels(system)):
+            if abs(here[i] - there[i]) > CONTINUOUS[0] * abs(there[i]) + CONTINUOUS[1]:
+                raise TssError(
+                    f"rest length of {line.name} must go on from {there[i]:.9g} m at {first_s:g} s,"
+                    f" got {here[i]:.9g}"
+                )
+            if not SHORTEST_M <= there[i] < NEVER_M:
+                raise TssError(f"rest length of {line.name} must be at least {SHORTEST_M:g} m")
+            short = self.crossings(i, SHORTEST_M, first_s, last_s)
+            if short and self.reel[i, 2:].any():
+                raise TssError(
+                    f"{line.name} would be shorter than {SHORTEST_M:g} m from {short[0]:.9g} s on:"
+                    " let its reel stop before"
+                )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Commands) and all(map(np.array_equal, self, other))
@@ -99,48 +215,88 @@ class Commands(NamedTuple):
         TssError
             If it does not fit the system, or if a force is not finite.
         """
-        force_n, cut = np.array(self.force_n, dtype=float), np.array(self.cut, dtype=bool)
-        shape = (len(FRAMES), system.n, 3)
-        if force_n.shape != shape or cut.shape != (system.m,):
-            raise TssError(
-                f"commands for {system.n} beads and {system.m} tethers need force_n of shape"
-                f" {shape} and cut of shape ({system.m},), got {force_n.shape} and {cut.shape}"
-            )
-        if not np.isfinite(force_n).all():
-            raise TssError("force_n must be finite, got NaN or infinity")
-        return Commands(force_n, cut)
+        parts = [np.array(x, dtype=kind) for x, kind in zip(self, (float, bool, float))]
+        for name, part, like in zip(self._fields, parts, Commands.none(system)):
+            if part.shape != like.shape:
+                raise TssError(
+                    f"commands for {system.n} beads and {system.m} tethers need {name} of shape"
+                    f" {like.shape}, got {part.shape}"
+                )
+            if not np.isfinite(part).all():
+                raise TssError(f"{name} must be finite, got NaN or infinity")
+        return Commands(*parts)
 
     def in_arrays(
-        self, arrays: KernelArrays, system: System, spin_rate_rad_s: float, since_s: float = 0.0
+        self,
+        arrays: KernelArrays,
+        part: Deployment,
+        spin_rate_rad_s: float,
+        *,
+        since_s: float = 0.0,
+        time_s: float = 0.0,
     ) -> KernelArrays:
-        """Kernels' arrays of a system, with these commands in place of others.
+        """Kernels' arrays of the part of a system that is out, with these commands.
 
         Parameters
         ----------
         arrays : KernelArrays
-        system : System
+            Of that part.
+        part : Deployment
         spin_rate_rad_s : float
             omega [rad/s] about the formation's axis.
         since_s : float
-            Time at which the time of the kernels begins.
+            Time at which the time of the kernels begins, for the axes of forces.
+        time_s : float
+            Time of the kernels from which on they are meant.
 
         Returns
         -------
         KernelArrays
         """
-        thrust, axis = np.empty((0, 0, 0)), system.spin_axis
+        system = part.system
+        thrust, axis, cut = np.empty((0, 0, 0)), system.spin_axis, self.cut[part.segments]
         if self.pushes:
-            thrust = self.force_n / system.mass_kg[:, None]
+            thrust = np.zeros((len(FRAMES), system.n, 3))
+            for bead, carrier in enumerate(part.carrier):
+                thrust[:, carrier] += self.force_n[:, bead]
+            thrust /= system.mass_kg[:, None]
             thrust[1] = thrust[1] @ turn_about(Z_AXIS, -arrays.rate * since_s).T
             thrust[2] = thrust[2] @ turn_about(axis, spin_rate_rad_s * since_s).T
+        reel = self._cubics(part, time_s)
+        moves = bool(reel[:, 1:].any())
+        share = np.ones(system.m) if moves else system.rest_length_m / reel[:, 0]
+        rest = system.rest_length_m if moves else reel[:, 0]
+        stiffness = share * (system.axial_stiffness_n / system.rest_length_m)
+        reel[cut] = NEVER_M, 0.0, 0.0, 0.0
         return arrays._replace(
-            rest=np.where(self.cut, NEVER_M, system.rest_length_m),
-            stiffness=np.where(self.cut, 0.0, system.axial_stiffness_n / system.rest_length_m),
-            damping=np.where(self.cut, 0.0, system.damping_n_s_per_m),
+            rest=np.where(cut, NEVER_M, rest),
+            stiffness=np.where(cut, 0.0, stiffness),
+            damping=np.where(cut, 0.0, share * system.damping_n_s_per_m),
+            reel=reel if moves else np.empty((0, 4)),
+            reel_since=float(time_s),
             thrust=thrust,
             thrust_axis=tuple(map(float, axis)),
             thrust_spin=float(spin_rate_rad_s),
         )
+
+    def _cubics(self, part, time_s):
+        """Rest lengths of the segments out as cubics of the time since one [s], (m', 4)."""
+        cubics = np.zeros((part.system.m, 4))
+        cubics[:, 0] = part.system.rest_length_m
+        place = {k: i for i, k in enumerate(part.segments.tolist())}
+        for line, whole, (since, a, b, c, d) in zip(
+            reels(part.whole), whole_lengths(part.whole), self.reel
+        ):
+            if (a, b, c, d) == (whole, 0.0, 0.0, 0.0):
+                continue
+            paying = next(k for k in line.segments if k in place)
+            rest = sum(part.whole.rest_length_m[k] for k in line.segments if k in place)
+            past = time_s - since
+            i, others = place[paying], rest - part.whole.rest_length_m[paying]
+            length = ((d * past + c) * past + b) * past + a
+            rate = (3.0 * d * past + 2.0 * c) * past + b
+            cubics[i] = length - others, rate, 3.0 * d * past + c, d
+        return cubics
 
 
 def _index(what, name, names):

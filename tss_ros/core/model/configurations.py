@@ -92,7 +92,7 @@ def initial_states(system: System, spin_rate_ratio: float) -> Iterator[InitialSt
         yield InitialState(place, np.zeros_like(place), EQUILIBRIUM)
         return
     units = ring_units(system) if (turning := system.turning_rad_s(spin)) else 0
-    if not units or system.n // units > 2:
+    if not units or system.n // units > 2 or not _bead_in_the_middle(system, units):
         yield averaged_state(system, spin_rate_ratio)
         return
     yield _paper_configuration(system, turning, units)
@@ -118,6 +118,13 @@ def ring_units(system: System) -> int:
         if not np.array_equal(values, np.roll(values, n // units)):
             return 0
     return units
+
+
+def _bead_in_the_middle(system, units):
+    """Whether a bead between two satellites, if there is one, halves its tether as in Eq. (54)."""
+    per_unit = system.n // units
+    lengths = system.rest_length_m[:per_unit], system.axial_stiffness_n[:per_unit]
+    return all(np.ptp(values) == 0.0 for values in lengths)
 
 
 def _paper_configuration(system, spin, units):

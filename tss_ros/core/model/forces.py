@@ -46,6 +46,26 @@ def _tether(v, r, i, j):
 
 
 @kernel
+def rest_at(arrays, k, time):
+    """L [m] of a tether and L' [m/s] at a time [s]."""
+    if arrays.reel.size == 0:
+        return arrays.rest[k], 0.0
+    past, reel = time - arrays.reel_since, arrays.reel[k]
+    length = ((reel[3] * past + reel[2]) * past + reel[1]) * past + reel[0]
+    return length, (3.0 * reel[3] * past + 2.0 * reel[2]) * past + reel[1]
+
+
+@kernel
+def _tether_at(arrays, k, time):
+    """L [m], L' [m/s], EA/L [N/m] and C [N s/m] of a tether at a time [s]."""
+    rest, unreeling = rest_at(arrays, k, time)
+    if arrays.reel.size == 0:
+        return rest, unreeling, arrays.stiffness[k], arrays.damping[k]
+    share = arrays.rest[k] / rest
+    return rest, unreeling, share * arrays.stiffness[k], share * arrays.damping[k]
+
+
+@kernel
 def _accelerate_in_sky(arrays, time, v, r, a):
     """Accelerations (n, 3) of the beads without tethers, on an orbit that is no circle.
 
@@ -125,10 +145,8 @@ def acceleration(arrays, taut, time, v, r, a):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
             ex, ey, ez, length, growth = _tether(v, r, i, j)
-            pull = tension(
-                arrays, length, growth, arrays.rest[k], arrays.stiffness[k], arrays.damping[k]
-            )
-            pull /= length
+            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
+            pull = tension(arrays, length, growth - unreeling, rest, stiffness, damping) / length
             pi, pj = pull * arrays.inv_mass[i], pull * arrays.inv_mass[j]
             a[i, 0] -= pi * ex
             a[i, 1] -= pi * ey
@@ -179,10 +197,11 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             e = (r[i, 0] - r[j, 0], r[i, 1] - r[j, 1], r[i, 2] - r[j, 2])
             w = (v[i, 0] - v[j, 0], v[i, 1] - v[j, 1], v[i, 2] - v[j, 2])
             length2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-            length, damping = math.sqrt(length2), arrays.damping[k]
+            length = math.sqrt(length2)
             growth = (e[0] * w[0] + e[1] * w[1] + e[2] * w[2]) / length
+            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
             across, slope = tension_and_slope(
-                arrays, length, growth, arrays.rest[k], arrays.stiffness[k], damping
+                arrays, length, growth - unreeling, rest, stiffness, damping
             )
             # Derivatives of tension over length times e, by e and w, which l and l' depend on.
             across /= length
@@ -207,29 +226,31 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
 
 
 @python_kernel
-def stretch(arrays, v, r, excess, growth):
-    """Length beyond the rest length and its rate for every tether, g = l - L and l' of Eq. (6).
+def stretch(arrays, time, v, r, excess, growth):
+    """Length beyond the rest length and its rate for every tether, g = l - L and g', Eq. (6).
 
     Parameters
     ----------
     arrays : KernelArrays
+    time : float
+        [s]
     v, r : ndarray, shape (n, 3)
     excess, growth : ndarray, shape (m,)
         Overwritten: [m] and [m/s].
     """
     for k in range(arrays.ends.shape[0]):
-        _, _, _, length, growth[k] = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
-        excess[k] = length - arrays.rest[k]
+        _, _, _, length, faster = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
+        rest, unreeling = rest_at(arrays, k, time)
+        excess[k], growth[k] = length - rest, faster - unreeling
 
 
 @python_kernel
-def tensions(arrays, v, r, pull):
-    """Tension [N] that the law gives every tether, taut or not, of length l and rate l'."""
+def tensions(arrays, time, v, r, pull):
+    """Tension [N] that the law gives every tether at a time [s], taut or not."""
     for k in range(arrays.ends.shape[0]):
         _, _, _, length, growth = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
-        pull[k] = tension(
-            arrays, length, growth, arrays.rest[k], arrays.stiffness[k], arrays.damping[k]
-        )
+        rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
+        pull[k] = tension(arrays, length, growth - unreeling, rest, stiffness, damping)
 
 
 def tension_and_slopes(
@@ -243,7 +264,10 @@ def tension_and_slopes(
 
 @checked
 def tether_state(
-    system: System, position_m: np.ndarray, velocity_m_s: np.ndarray
+    system: System,
+    position_m: np.ndarray,
+    velocity_m_s: np.ndarray,
+    rests: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Length, tension and tautness of every tether segment, Eqs. (3), (5), (6).
 
@@ -251,6 +275,8 @@ def tether_state(
     ----------
     system : System
     position_m, velocity_m_s : ndarray, shape (..., n, 3)
+    rests : tuple of two ndarray, shape (..., m), optional
+        Rest lengths [m] and their rates [m/s] where reels have changed them, `Commands.rests`.
 
     Returns
     -------
@@ -262,8 +288,18 @@ def tether_state(
         Longer than the rest length, Eq. (5).
     """
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
-    taut = length > system.rest_length_m  # Eq. (5)
-    pull, _ = tension_and_slopes(kernel_arrays(system, 0.0), length, growth)
+    arrays = kernel_arrays(system, 0.0)
+    if rests is None:
+        taut = length > system.rest_length_m  # Eq. (5)
+    else:
+        rest, unreeling = rests
+        out = rest > 0.0
+        share = system.rest_length_m / np.where(out, rest, system.rest_length_m)
+        arrays = arrays._replace(
+            rest=rest, stiffness=share * arrays.stiffness, damping=share * arrays.damping
+        )
+        taut, growth = out & (length > rest), growth - unreeling
+    pull, _ = tension_and_slopes(arrays, length, growth)
     if not system.law.pushes:
         pull = np.maximum(pull, 0.0)
     return length, np.where(taut | system.bilateral, pull, 0.0), taut

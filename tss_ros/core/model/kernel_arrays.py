@@ -36,6 +36,11 @@ class KernelArrays(NamedTuple):
         Unit vector in the orbit frame about which the axes of `thrust` that spin turn.
     thrust_spin : float
         omega [rad/s] of these axes against the orbit frame.
+    reel : ndarray, shape (m, 4)
+        Rest length of each segment as a cubic of the time since `reel_since`: [m], [m/s] and so
+        on; EA stays, so that stiffness and damping change like 1/L. Empty where none changes.
+    reel_since : float
+        [s]
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -81,6 +86,8 @@ class KernelArrays(NamedTuple):
     thrust: np.ndarray
     thrust_axis: tuple[float, float, float]
     thrust_spin: float
+    reel: np.ndarray
+    reel_since: float
     bilateral: bool
     pushes: bool
     tension: int
@@ -129,6 +136,8 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         thrust=np.empty((0, 0, 0)),
         thrust_axis=(0.0, 0.0, 1.0),
         thrust_spin=0.0,
+        reel=np.empty((0, 4)),
+        reel_since=0.0,
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

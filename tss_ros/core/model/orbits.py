@@ -216,7 +216,12 @@ class ReferenceOrbit:
         return tuple(np.einsum("kij,knj->kni", axes, x) for x in (fixed_v, fixed_r))
 
     def relative_acceleration(
-        self, time_s: float, taut: np.ndarray, v: np.ndarray, r: np.ndarray
+        self,
+        time_s: float,
+        taut: np.ndarray,
+        v: np.ndarray,
+        r: np.ndarray,
+        arrays: KernelArrays | None = None,
     ) -> np.ndarray:
         """Accelerations (n, 3) [m/s^2] of beads as seen from the orbit frame.
 
@@ -227,6 +232,8 @@ class ReferenceOrbit:
             Which tethers exert a force.
         v, r : ndarray, shape (n, 3)
             Velocities [m/s] and positions [m] in the orbit frame.
+        arrays : KernelArrays, optional
+            With what else acts, for a frame that turns evenly with Omega.
         """
         step = 1e-4 / self.rate_rad_s * (1.0 - self._e) ** 1.5
         axes, turning = self.frame(time_s + step * np.arange(3.0))
@@ -236,9 +243,8 @@ class ReferenceOrbit:
         rate = self.rate_rad_s
         turn = turn_about(Z_AXIS, rate * time_s)
         even_r = fixed_r @ turn
-        even_v = (fixed_v + np.cross(omega, fixed_r)) @ turn
-        even_v -= rigid_velocity(even_r, rate)
-        arrays, a = self.arrays(0.0), np.empty_like(r)
+        even_v = (fixed_v + np.cross(omega, fixed_r)) @ turn - rigid_velocity(even_r, rate)
+        arrays, a = arrays or self.arrays(0.0), np.empty_like(r)
         if not self.repeats:
             arrays = self.with_table(arrays, time_s, time_s)
         forces.acceleration(arrays, taut, time_s, even_v, even_r, a)

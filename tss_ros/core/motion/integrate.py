@@ -5,6 +5,7 @@ Two kinds of steps take turns; `step_control` says which is next, and how long i
 
 import numpy as np
 
+from tss_ros.core.errors import IntegrationError
 from tss_ros.core.model.forces import stretch, tensions
 from tss_ros.core.model.frames import to_orbit_frame, to_turning_frame
 from tss_ros.core.model.kernel_arrays import KernelArrays
@@ -31,6 +32,8 @@ from tss_ros.core.numerics.simd import WIDTH, python_allocating, python_kernel, 
 
 #: Outcomes of `advance`.
 REACHED, PAUSED, STEP_TOO_SMALL, TOO_MANY_SWITCHES = range(4)
+#: Most slack/taut switches in one turn before a motion counts as chattering.
+MOST_SWITCHES_PER_TURN = 20_000
 #: How near to its rest length a tether switches together with another, relative to it.
 ON_EDGE = 1e-12
 
@@ -57,9 +60,17 @@ def begin(
     -------
     IntegratorState
     """
-    n, m, s = r.shape[0], arrays.rest.size, tables.stages
+    motion = blank(arrays, tables, settings)
+    m = arrays.rest.size
+    _start(arrays, settings, motion, v, r, first_step, np.empty(m), np.empty(m))
+    return motion
+
+
+def blank(arrays: KernelArrays, tables: Tables, settings: StepSettings) -> IntegratorState:
+    """Room for a motion without variations."""
+    n, m, s = arrays.inv_mass.size, arrays.rest.size, tables.stages
     state, steps, none = (n, 3), (s, n, 3), (n, 3, 0)
-    motion = IntegratorState(
+    return IntegratorState(
         progress=np.zeros(1, dtype=PROGRESS),
         taut=np.empty(m, dtype=bool),
         idle=np.empty(m, dtype=bool),
@@ -73,8 +84,19 @@ def begin(
         x_v=np.empty(none),
         x_r=np.empty(none),
     )
-    _start(arrays, settings, motion, v, r, first_step, np.empty(m), np.empty(m))
-    return motion
+
+
+def check(status: int, motion: IntegratorState, which: str) -> None:
+    """Raise IntegrationError if a motion, named in words, could not be continued."""
+    if status in (REACHED, PAUSED):
+        return
+    where = f"at {motion.time:.6g} s, after {motion.steps} steps"
+    if status == STEP_TOO_SMALL:
+        raise IntegrationError(f"{which} could not be continued {where}: steps too small")
+    raise IntegrationError(
+        f"{which}'s tethers chatter {where}: more than {MOST_SWITCHES_PER_TURN} slack/taut switches"
+        " without progress"
+    )
 
 
 @python_kernel
@@ -93,19 +115,22 @@ def _start(arrays, settings, motion, v, r, first_step, excess, growth):
     for i in range(r.shape[0]):
         for q in range(3):
             motion.start_r[i, q], motion.start_v[i, q] = motion.r[i, q], motion.v[i, q]
-    set_modes(arrays, motion, motion.v, motion.r, excess, growth)
+    set_modes(arrays, motion, 0.0, motion.v, motion.r, excess, growth)
 
 
 @python_kernel
-def set_modes(arrays, motion, v, r, excess, growth):
-    """Set the modes of all tethers to those of a state v, r (n,3); excess, growth (m,): room."""
-    stretch(arrays, v, r, excess, growth)
+def set_modes(arrays, motion, time, v, r, excess, growth):
+    """Set the modes of all tethers to those of a state v, r (n,3) at a time [s].
+
+    `excess` and `growth` (m,) are room.
+    """
+    stretch(arrays, time, v, r, excess, growth)
     for k in range(excess.size):
         # Eq. (5), and at the rest length whichever mode the motion is about to be in.
         longer = excess[k] > 0.0 or (excess[k] == 0.0 and growth[k] > 0.0) or arrays.bilateral
         motion.taut[k], motion.idle[k] = longer, False
     if not arrays.pushes:
-        tensions(arrays, v, r, excess)
+        tensions(arrays, time, v, r, excess)
         for k in range(excess.size):
             motion.idle[k] = motion.taut[k] and excess[k] < 0.0
             motion.taut[k] = motion.taut[k] and not motion.idle[k]
@@ -144,8 +169,9 @@ def take_back(arrays, tables, motion):
     v, r, excess, growth = np.empty((n, 3)), np.empty((n, 3)), np.empty(m), np.empty(m)
     # No tether changes its mode within a step: in the middle, each is far from where it would.
     before = motion.taut.copy()
-    _state_at(arrays, tables, motion, at.step_start + 0.5 * at.step_size, v, r)
-    set_modes(arrays, motion, v, r, excess, growth)
+    middle = at.step_start + 0.5 * at.step_size
+    _state_at(arrays, tables, motion, middle, v, r)
+    set_modes(arrays, motion, middle, v, r, excess, growth)
     for k in range(m):
         at.switches -= motion.taut[k] != before[k]
     _, dissipation = step_control.taut_rates(arrays, motion.taut, v)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from tss_ros.core.arguments import checked
-from tss_ros.core.errors import IntegrationError, TssError
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.feedback import analysed, damping_time_s, feeds_back, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
@@ -17,7 +18,7 @@ from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
 from tss_ros.core.motion.commanded import CommandedMotion
 from tss_ros.core.motion.compilation import compile_ahead
-from tss_ros.core.motion.state import IntegratorState, Samples
+from tss_ros.core.motion.state import IntegratorState, Samples, velocities_and_positions
 from tss_ros.core.motion.step_control import BOTH, EXPLICIT, IMPLICIT, StepSettings
 from tss_ros.core.numerics import radau_tables
 
@@ -30,8 +31,6 @@ INTEGRATORS = {"radau": IMPLICIT, "taylor": EXPLICIT, "auto": BOTH}
 FIRST_STEP = 1e-3
 #: Steps made on one table of an orbit that never repeats.
 STEPS_ON_TABLE = 40
-#: Most slack/taut switches in one turn before a motion counts as chattering.
-MOST_SWITCHES_PER_TURN = 20_000
 
 
 class Integrator:
@@ -156,15 +155,7 @@ class Integrator:
         TssError
             If the state is not finite or not one of this system.
         """
-        r = np.ascontiguousarray(state.position_m, dtype=float)
-        v = np.ascontiguousarray(state.velocity_m_s, dtype=float)
-        if r.shape != (self.system.n, 3) or v.shape != r.shape:
-            raise TssError(
-                f"a state of {self.system.n} beads needs positions and velocities of shape"
-                f" ({self.system.n}, 3), got {r.shape} and {v.shape}"
-            )
-        if not (np.isfinite(r).all() and np.isfinite(v).all()):
-            raise TssError("positions and velocities must be finite, got NaN or infinity")
+        v, r = velocities_and_positions(self.system, state)
         if self.orbit:
             v = self.orbit.into_even_frame(v, r)
         first_step = FIRST_STEP * self.turn_s
@@ -216,11 +207,11 @@ class Integrator:
             self.tables,
             self.settings,
             motion,
-            (float(stop), 2**62, MOST_SWITCHES_PER_TURN),
+            (float(stop), 2**62, integrate.MOST_SWITCHES_PER_TURN),
             FIRST_STEP * self.turn_s,
             states,
         )
-        _check(status, motion, f"motion {k}")
+        integrate.check(status, motion, f"motion {k}")
         end = Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
         if self.orbit:
             moved = self.orbit.out_of_even_frame(
@@ -272,13 +263,13 @@ class Integrator:
                 self.tables,
                 self.settings,
                 motion,
-                (float(stop), some, MOST_SWITCHES_PER_TURN),
+                (float(stop), some, integrate.MOST_SWITCHES_PER_TURN),
                 samples,
             )
             if self.orbit:
                 self._leave(samples, slice(sampled, motion.progress["sampled"][0]))
             steps -= some
-        _check(status, motion, "the motion")
+        integrate.check(status, motion, "the motion")
         return status == integrate.REACHED
 
     def _on_table(self, first, last):
@@ -300,22 +291,13 @@ class Integrator:
         """Velocities over the rim speed, then positions over the radius, as one vector (6n,)."""
         return np.concatenate([v.ravel() / self.settings.speed, r.ravel() / self.settings.length])
 
+    def blank(self) -> IntegratorState:
+        """Room for a motion without variations."""
+        return integrate.blank(self.arrays, self.tables, self.settings)
+
     def samples(self, times: np.ndarray) -> Samples:
         """Room for the states at some times (k,) [s]."""
         return Samples(times, *np.empty((2, times.size, self.system.n, 3)))
-
-
-def _check(status, motion, which):
-    """Turn a failure of a motion into an error."""
-    if status in (integrate.REACHED, integrate.PAUSED):
-        return
-    where = f"at {motion.time:.6g} s, after {motion.steps} steps"
-    if status == integrate.STEP_TOO_SMALL:
-        raise IntegrationError(f"{which} could not be continued {where}: steps too small")
-    raise IntegrationError(
-        f"{which}'s tethers chatter {where}: more than {MOST_SWITCHES_PER_TURN} slack/taut switches"
-        " without progress"
-    )
 
 
 class Propagator(CommandedMotion):
@@ -336,6 +318,8 @@ class Propagator(CommandedMotion):
         explicit ones tethers that ring or switch often.
     since_s : float
         [s] when time 0 is for the axes of forces from outside, `commands.FRAMES`.
+    plan : sequence of (float, Commands), optional
+        What acts from outside, and from which times [s] on; of those up to 0 the last one counts.
 
     Raises
     ------
@@ -352,12 +336,16 @@ class Propagator(CommandedMotion):
         rtol: float = 1e-10,
         integrator: str = "auto",
         since_s: float = 0.0,
+        plan: Sequence[tuple[float, Commands]] = (),
     ):
         spin = system.spin_rate_rad_s(spin_rate_ratio)
         length = np.max(np.linalg.norm(system.layout_m, axis=1))
-        free = Integrator(system, spin, rtol, length, dense=True, integrator=integrator)
-        super().__init__(free, free.begin(state), since_s)
-        self.period_s = free.period_s
+
+        def make(part):
+            return Integrator(part, spin, rtol, length, dense=True, integrator=integrator)
+
+        super().__init__(make, system, state, plan, since_s)
+        self.period_s = system.period_s(spin_rate_ratio)
 
     @checked
     def sample(
@@ -395,6 +383,6 @@ class Propagator(CommandedMotion):
                 f"times_s must not lie before {begun:g} s, where the last step began,"
                 f" got {times[0]:g}"
             )
-        samples = self._integrator.samples(times)
+        samples = Samples(times, *np.empty((2, times.size, self._system.n, 3)))
         self._advance_through(samples, cancelled)
         return samples.r, samples.v

@@ -66,9 +66,10 @@ def first_switch(arrays, tables, step, idle, room):
         if j > 0:
             add(r, 1.0, step.dr[j - 1])
             add(v, 1.0, step.dv[j - 1])
-        stretch(arrays, v, r, excess[j], growth)
+        time = step.time if j == 0 else step.time + tables.c[j - 1] * step.size
+        stretch(arrays, time, v, r, excess[j], growth)
         if not arrays.pushes:
-            tensions(arrays, v, r, pull[j])
+            tensions(arrays, time, v, r, pull[j])
     earliest, which = 2.0, -1
     for guard in range(m if arrays.pushes else 2 * m):
         k, at_rest = guard % m, guard < m
@@ -306,7 +307,7 @@ def toggle(arrays, motion, which, edge, excess, growth):
         at.switches += 1
         return 1
     changed = 0
-    stretch(arrays, motion.v, motion.r, excess, growth)
+    stretch(arrays, at.time, motion.v, motion.r, excess, growth)
     for k in range(m):
         if k != which and abs(excess[k]) > edge * arrays.rest[k]:
             continue

@@ -6,6 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tss_ros.core.errors import TssError
+from tss_ros.core.model.system import State, System
+
 #: Numbers of a motion under way, by name, inside compiled kernels as well as outside:
 #:
 #: * time: now [s]; implicit_size: next implicit step to try [s];
@@ -98,6 +101,26 @@ class IntegratorState(NamedTuple):
     def with_variations(self, x_v: np.ndarray, x_r: np.ndarray) -> IntegratorState:
         """A copy that carries other variations."""
         return IntegratorState(*map(np.array, self))._replace(x_v=x_v, x_r=x_r)
+
+
+def velocities_and_positions(system: System, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities [m/s] and positions [m] (n, 3) of a state in the orbit frame.
+
+    Raises
+    ------
+    TssError
+        If they are not finite or not ones of this system.
+    """
+    r = np.ascontiguousarray(state.position_m, dtype=float)
+    v = np.ascontiguousarray(state.velocity_m_s, dtype=float)
+    if r.shape != (system.n, 3) or v.shape != r.shape:
+        raise TssError(
+            f"a state of {system.n} beads needs positions and velocities of shape"
+            f" ({system.n}, 3), got {r.shape} and {v.shape}"
+        )
+    if not (np.isfinite(r).all() and np.isfinite(v).all()):
+        raise TssError("positions and velocities must be finite, got NaN or infinity")
+    return v, r
 
 
 class Samples(NamedTuple):

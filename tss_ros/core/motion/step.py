@@ -338,7 +338,7 @@ def _end_on_switch(arrays, symbolic, tables, settings, step, room, which, fracti
             break
         sum_of(step.v, step.dv[s - 1], v)
         sum_of(step.r, step.dr[s - 1], r)
-        stretch(arrays, v, r, room.excess, room.growth)
+        stretch(arrays, step.time + h, v, r, room.excess, room.growth)
         miss = abs(room.excess[which])
         if miss <= 4e-15 * arrays.rest[which] or miss <= 1e-15 * full * abs(room.growth[which]):
             break
