@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 from tss_ros import core
-from tss_ros.core import Propagator, State, reel_plan, reel_profile
+from tss_ros.core import Commands, Propagator, State, TssError, reel_plan, reel_profile
 from tss_ros.core.model.reels import reels
 
 MU = 3.986e14
@@ -173,3 +173,40 @@ def test_beads_on_a_reel_ride_with_their_satellite():
         for r, count in zip(position_m, out):
             inside = list(reel.beads[1 : len(reel.segments) - count + 1])
             assert (r[inside] == r[reel.beads[0]]).all()
+
+
+def test_a_reel_stops_where_it_comes_to_its_end():
+    motion = Propagator(PAIR, 0.0, core.initial_state(PAIR, 0.0))
+    motion.command([(10.0, Commands.of(PAIR, reel={"tether_1": (10.0, 1000.0, -10.0)}))])
+    (_, moving), (end_s, stopped) = motion.plan
+    assert moving.unreels and not stopped.unreels
+    assert end_s == pytest.approx(10.0 + (1000.0 - 0.1) / 10.0)
+    assert stopped.lengths_out(end_s)[0] == pytest.approx([0.1])
+
+
+@pytest.mark.parametrize(
+    "plan, words",
+    [
+        ([(5.0, (5.0, 900.0))], "must go on from 1000 m at 5 s, got 900"),
+        ([(5.0, (5.0, 1000.0, -10.0)), (500.0, (500.0, 0.1))], "shorter than 0.1 m from 104.99 s"),
+        ([(5.0, (5.0, np.nan))], "reel must be finite"),
+    ],
+)
+def test_reels_that_cannot_be_are_refused(plan, words):
+    motion = Propagator(PAIR, 0.0, core.initial_state(PAIR, 0.0))
+    with pytest.raises(TssError, match=words):
+        motion.command([(t, Commands.of(PAIR, reel={"tether_1": row})) for t, row in plan])
+
+
+def test_names_and_profiles_that_are_not_there_are_named():
+    with pytest.raises(TssError, match="tether is 'tether_2'; allowed: tether_1"):
+        Commands.of(PAIR, reel={"tether_2": (0.0, 1000.0)})
+    with pytest.raises(TssError, match="times_s must increase"):
+        reel_profile([1.0, 1.0], [10.0, 20.0])
+    with pytest.raises(TssError, match="at least 0.1 m, got 0"):
+        core.deployed_system(PAIR, 0.0)
+    with pytest.raises(TssError, match="bears no reels that move"):
+        Propagator(
+            PAIR, 0.0, core.initial_state(PAIR, 0.0), integrator="taylor",
+            plan=reel_plan(PAIR, {"tether_1": reel_profile([0.0, 10.0], [1000.0, 1010.0])}),
+        )  # fmt: skip

@@ -35,6 +35,11 @@ from tss_ros.core.stability.parallel import (
     FloquetJob,
     sweep,
 )
+from tss_ros.core.stability.reel_control import (
+    ReelControl,
+    ReelControlResult,
+    compute_reel_control,
+)
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 from tss_ros.core.stability.special_curves import CurvePoint, SpecialCurve, follow_special
@@ -72,6 +77,8 @@ __all__ = [
     "ModeMotion",
     "NoSteadyState",
     "Propagator",
+    "ReelControl",
+    "ReelControlResult",
     "ReferenceOrbit",
     "FloquetJob",
     "Satellite",
@@ -86,6 +93,7 @@ __all__ = [
     "averaged_state",
     "compute_floquet",
     "compute_modes",
+    "compute_reel_control",
     "confirm",
     "deployed_system",
     "deviation",

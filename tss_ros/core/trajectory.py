@@ -275,17 +275,15 @@ def simulate(
         w = omega / Omega, negative for clockwise; 0 for a formation that hangs.
     turns : float
         How long; a formation that hangs turns once an orbit.
-    disturbance_m : float
+    disturbance_m, seed : float, int
         [m] see `disturbed`; 0 for no push.
-    seed : int
-        Of the push.
     period_s : float, optional
         [s] between two states; `SAMPLES` are in a turn if not given. The last state is that of
         the last whole period.
     state : State, optional
         Undisturbed start; `initial_state` if not given.
     rtol, integrator, plan
-        See `Propagator`. Tethers need not be out as a whole: see `deployed_system`.
+        See `Propagator`.
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
 
@@ -318,7 +316,7 @@ def simulate(
     propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator, plan=plan)
     t_s = np.arange(math.floor(count) + 1) * between
     position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-    rests = rests_over(system, plan, t_s) if plan else None
+    rests = rests_over(system, plan, t_s)
     length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(

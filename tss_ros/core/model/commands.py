@@ -30,6 +30,8 @@ from tss_ros.core.numerics.simd import kernel
 FRAMES = ("orbit", "inertial", "spinning")
 #: How far a rest length [m] may jump where commands change, relative to it and in metres.
 CONTINUOUS = 1e-9, 1e-6
+#: How far ahead [s] the end of a reel is looked for: rates of rounding errors come to theirs later.
+LATEST_S = 1e10
 
 
 class Commands(NamedTuple):
@@ -181,6 +183,24 @@ class Commands(NamedTuple):
                 found.append((begin, out))
         return found
 
+    def reels_that_stop(self, first_s: float) -> list[tuple[float, Commands]]:
+        """These commands from a time [s] on, with every reel stopped where it comes to its end."""
+        found, acting, begun = [(first_s, self)], self, first_s
+        while True:
+            ends = [
+                (times[0], i)
+                for i in range(len(self.reel))
+                if acting.reel[i, 2:].any()
+                and (times := acting.crossings(i, SHORTEST_M, begun, begun + LATEST_S))
+            ]
+            if not ends:
+                return found
+            begun, i = min(ends)
+            reel = np.array(acting.reel)
+            reel[i] = begun, SHORTEST_M, 0.0, 0.0, 0.0
+            acting = acting._replace(reel=reel)
+            found.append((begun, acting))
+
     def check_reels(self, system: System, before: Commands, first_s: float, last_s: float) -> None:
         """Raise TssError unless reels go on from others at a time [s], and last until another."""
         there, here = before.lengths_out(first_s)[0], self.lengths_out(first_s)[0]
@@ -190,10 +210,10 @@ class Commands(NamedTuple):
                     f"rest length of {line.name} must go on from {there[i]:.9g} m at {first_s:g} s,"
                     f" got {here[i]:.9g}"
                 )
-            if not SHORTEST_M <= there[i] < NEVER_M:
+            if not SHORTEST_M * (1.0 - CONTINUOUS[1]) <= there[i] < NEVER_M:
                 raise TssError(f"rest length of {line.name} must be at least {SHORTEST_M:g} m")
             short = self.crossings(i, SHORTEST_M, first_s, last_s)
-            if short and self.reel[i, 2:].any():
+            if short and self.reel[i, 2:].any() and last_s < math.inf:
                 raise TssError(
                     f"{line.name} would be shorter than {SHORTEST_M:g} m from {short[0]:.9g} s on:"
                     " let its reel stop before"

@@ -244,13 +244,19 @@ def stretch(arrays, time, v, r, excess, growth):
         excess[k], growth[k] = length - rest, faster - unreeling
 
 
+@kernel
+def tension_at(arrays, k, time, v, r):
+    """Tension [N] of a taut tether at a time [s], and its C [N s/m] then."""
+    _, _, _, length, growth = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
+    rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
+    return tension(arrays, length, growth - unreeling, rest, stiffness, damping), damping
+
+
 @python_kernel
 def tensions(arrays, time, v, r, pull):
     """Tension [N] that the law gives every tether at a time [s], taut or not."""
     for k in range(arrays.ends.shape[0]):
-        _, _, _, length, growth = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
-        rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
-        pull[k] = tension(arrays, length, growth - unreeling, rest, stiffness, damping)
+        pull[k], _ = tension_at(arrays, k, time, v, r)
 
 
 def tension_and_slopes(

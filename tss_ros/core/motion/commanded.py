@@ -176,7 +176,8 @@ class CommandedMotion:
         """Say what acts from outside and from when on, in place of all that was to come.
 
         The motion goes on from exactly these times. States up to one of them are the same as
-        without it. While a force acts or a reel moves, all steps are implicit.
+        without it. While a force acts or a reel moves, all steps are implicit. A reel that the
+        last commands would have take in all of its tether stops at `reels.SHORTEST_M`.
 
         Parameters
         ----------
@@ -210,7 +211,9 @@ class CommandedMotion:
         """All changes to come: those of commands, and those where beads leave reels."""
         system, legs, before = self._system, [], self._base.commands
         begun = max(self._base.edge, 0.0)
-        edges = [(begun, before), *kept, (math.inf, None)]
+        edges = [(begun, before), *kept]
+        edges[-1:] = edges[-1][1].reels_that_stop(edges[-1][0])
+        edges.append((math.inf, None))
         for (edge, commands), (until, _) in zip(edges, edges[1:]):
             commands.check_reels(system, before, edge, until)
             legs += [_Leg(t, commands, out) for t, out in commands.hand_overs(system, edge, until)]
