@@ -43,15 +43,16 @@ def test_commands_at_short_intervals_come_to_the_loop():
     control = ReelControl(1000.0, 1.0)
     loop = reel_control._Loop(STAR, -2.9, control, None, None)
     end_s, names = 60.0, [reel.name for reel in reels(STAR)]
-    x = loop.start.copy()
-    x[9] += 1e-3
+    x = loop.close()[0]
+    x[9] += 2e-6
     times = np.linspace(0.0, end_s, 61)
-    expected = loop.turn(x, 0.0, times=times)[2][:, -1]
+    expected, begun = loop.turn(x, 0.0, times=times)[2][:, -1], loop.unit[18:] * x[18:]
     missed = []
     for count in (120, 480):
         state, edges = loop.state(x), np.linspace(0.0, end_s, count + 1)
-        motion = Propagator(STAR, -2.9, State(state.position_m, state.velocity_m_s))
-        rest = np.full(3, 10e3)
+        plan = [(0.0, Commands.of(STAR, reel={n: (0.0, a) for n, a in zip(names, begun)}))]
+        motion = Propagator(STAR, -2.9, State(state.position_m, state.velocity_m_s), plan=plan)
+        rest = 1.0 * begun
         for begin, end in zip(edges, edges[1:]):
             position_m, velocity_m_s = motion.sample(np.array([begin]))
             rests = rest[None], np.zeros((1, 3))
