@@ -13,7 +13,9 @@ import numpy as np
 
 from tss_ros import core
 from tss_ros.core import FloquetResult, State, System
+from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.feedback import thrust
+from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.motion.propagator import Integrator
 
 #: Parameters of the laws that are varied.
@@ -146,6 +148,46 @@ def masses(stopped: Callable[[], bool]) -> list[dict[str, Any]]:
             {"mass": change, "verdict": result.verdict, "slowest": result.max_modulus_nontrivial}
         )
     return rows
+
+
+# -- a controller that samples ---------------------------------------------------------------------
+
+
+def sampled(
+    gain: float, period_s: float, delay_s: float, start: State, turns: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of the six beads by turns, their thrusters driven by a computer.
+
+    It sees the state every period. The thrust that follows from it acts a delay later, and until
+    the next one does: it is held in axes that turn with the formation.
+
+    Parameters
+    ----------
+    gain : float
+        [N s/m]
+    period_s, delay_s : float
+    start : State
+    turns : int
+
+    Returns
+    -------
+    ndarray, shape (turns, SAMPLES, n, 3)
+        [m]; NaN from where the motion could not be continued.
+    """
+    free, law = six_beads(0.0), six_beads(gain)
+    turn_s, spin = free.period_s(RATE), free.spin_rate_rad_s(RATE)
+    watched = turn_s * np.arange(turns * SAMPLES) / SAMPLES
+    motion, plan, found = core.Propagator(free, RATE, start), [], []
+    for k in range(math.ceil(turns * turn_s / period_s)):
+        now, then = k * period_s, (k + 1) * period_s
+        r, v = (x[0] for x in motion.sample([now]))
+        force = np.zeros((len(FRAMES), free.n, 3))
+        force[SPINNING] = thrust(law, RATE, State(r, v)) @ turn_about(Z_AXIS, spin * now)
+        plan = [(time, held) for time, held in plan if time > now - delay_s]
+        plan.append((now + delay_s, core.Commands(force, np.zeros(free.m, dtype=bool))))
+        motion.command(plan)
+        found.append(motion.sample(watched[(watched >= now) & (watched < then)])[0])
+    return np.concatenate(found).reshape(turns, SAMPLES, free.n, 3)
 
 
 # -- three satellites in the unstable band ---------------------------------------------------------
