@@ -29,6 +29,11 @@ WATCHED = 20.0
 PUSH_M, TURNS, SAMPLES, SETTLED = 10.0, 200, 40, 0.1
 #: Damping of tethers that is tried instead [N s/m], and changes of all masses.
 TETHERS, MASSES = (1e2, 1e3, 1e4, 1e5), (0.8, 0.9, 1.0, 1.1, 1.2)
+#: A controller that samples: gains [N s/m], periods and delays [s], push [m], most turns, and the
+#: swing [m] at which a motion is given up.
+SAMPLED_GAINS, PERIODS_S = (5.0, WATCHED, 50.0), (20.0, 40.0, 80.0)
+DELAYS_S = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0)
+SAMPLED_PUSH_M, SAMPLED_TURNS, LOST_M = 1.0, 60, 100.0
 #: The three satellites: rate over Omega inside the unstable band, the gain [N s/m] to begin with,
 #: by how much it is lowered, and how precisely the least one is found.
 SLOW, FIRST_GAIN, STEP, PRECISELY = -1.5, 5.0, 0.9, 1e-3
@@ -153,13 +158,11 @@ def masses(stopped: Callable[[], bool]) -> list[dict[str, Any]]:
 # -- a controller that samples ---------------------------------------------------------------------
 
 
-def sampled(
-    gain: float, period_s: float, delay_s: float, start: State, turns: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of the six beads by turns, their thrusters driven by a computer.
+def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) -> np.ndarray:
+    """The swing of the six beads out of the plane, driven by a controller that samples.
 
     It sees the state every period. The thrust that follows from it acts a delay later, and until
-    the next one does: it is held in axes that turn with the formation.
+    the next one does, in axes that turn with the formation.
 
     Parameters
     ----------
@@ -167,27 +170,57 @@ def sampled(
         [N s/m]
     period_s, delay_s : float
     start : State
-    turns : int
 
     Returns
     -------
-    ndarray, shape (turns, SAMPLES, n, 3)
-        [m]; NaN from where the motion could not be continued.
+    ndarray
+        [m] root of the mean square in each turn, up to the turn in which it exceeds `LOST_M`.
     """
     free, law = six_beads(0.0), six_beads(gain)
-    turn_s, spin = free.period_s(RATE), free.spin_rate_rad_s(RATE)
-    watched = turn_s * np.arange(turns * SAMPLES) / SAMPLES
-    motion, plan, found = core.Propagator(free, RATE, start), [], []
-    for k in range(math.ceil(turns * turn_s / period_s)):
-        now, then = k * period_s, (k + 1) * period_s
-        r, v = (x[0] for x in motion.sample([now]))
-        force = np.zeros((len(FRAMES), free.n, 3))
-        force[SPINNING] = thrust(law, RATE, State(r, v)) @ turn_about(Z_AXIS, spin * now)
-        plan = [(time, held) for time, held in plan if time > now - delay_s]
-        plan.append((now + delay_s, core.Commands(force, np.zeros(free.m, dtype=bool))))
-        motion.command(plan)
-        found.append(motion.sample(watched[(watched >= now) & (watched < then)])[0])
-    return np.concatenate(found).reshape(turns, SAMPLES, free.n, 3)
+    spin, spinning = free.spin_rate_rad_s(RATE), FRAMES.index("spinning")
+    motion, plan, swing = core.Propagator(free, RATE, start), [], []
+    step_s, time = free.period_s(RATE) / SAMPLES, 0
+    looks, whole = 0, np.zeros(free.m, dtype=bool)
+    while len(swing) < SAMPLED_TURNS and max(swing, default=0.0) < LOST_M:
+        square = 0.0
+        for _ in range(SAMPLES):
+            while looks * period_s <= time * step_s:
+                now = looks * period_s
+                r, v = (x[0] for x in motion.sample([now]))
+                force = np.zeros((len(FRAMES), free.n, 3))
+                force[spinning] = thrust(law, RATE, State(r, v)) @ turn_about(Z_AXIS, spin * now)
+                plan = [held for held in plan if held[0] > motion.commanded_s]
+                plan.append((now + delay_s, core.Commands(force, whole)))
+                motion.command(plan)
+                looks += 1
+            z = motion.sample([time * step_s])[0][0, :, 2]
+            square += np.mean((z - np.average(z, weights=free.mass_kg)) ** 2) / SAMPLES
+            time += 1
+        swing.append(math.sqrt(square))
+    return np.array(swing)
+
+
+def delays(stopped: Callable[[], bool]) -> dict[str, Any]:
+    """How the swing grows in a turn over gain, period and delay of a controller that samples.
+
+    A motion's later half tells: what decays quickly is gone by then.
+    """
+    rows, found = [], {}
+    for gain in SAMPLED_GAINS:
+        result = found[gain] = core.compute_floquet(six_beads(gain), RATE, certify=False)
+        start = core.disturbed(result.state, SAMPLED_PUSH_M, seed=1)
+        for period in PERIODS_S:
+            growth = []
+            for delay in DELAYS_S:
+                if stopped():
+                    break
+                late = np.log(sampled_swing(gain, period, delay, start))
+                late = late[len(late) // 2 :] if len(late) > 5 else late
+                growth.append(math.exp(np.polyfit(np.arange(len(late)), late, 1)[0]))
+            rows.append({"gain": gain, "period": period, "growth": growth})
+    open_loop = core.compute_floquet(six_beads(0.0), RATE, certify=False)
+    modes = core.compute_modes(six_beads(0.0), open_loop)
+    return {"rows": rows, "continuous": found, "modes": modes}
 
 
 # -- three satellites in the unstable band ---------------------------------------------------------
