@@ -23,7 +23,7 @@ from tss_ros.core.numerics.expressions import dot, sqrt
 GAIN = LawParameter("my_gain", "Gain", "N s/m", 0.0, 1e3, 0.0)
 HOLD = LawParameter("my_stiffness", "Gain", "N/m", 0.0, 1e3, 0.0)
 FORCE = LawParameter("my_force_n", "Largest thrust", "N", 0.0, 10.0, 0.0)
-WIDTH = LawParameter("my_width_m_s", "Half the dead band", "m/s", 1e-3, 10.0, 0.05)
+WIDTH = LawParameter("my_width_m_s", "Half the dead band", "m/s", 1e-6, 10.0, 0.05)
 TRAP = LawParameter("my_trap_per_s2", "Pull", "1/s^2", 0.0, 1.0, 0.0)
 
 
@@ -105,11 +105,10 @@ import json
 import numpy as np
 from tss_ros.core import Propagator, compute_floquet, disturbed, initial_state, ring
 
-base = {"satellites": 3, "beads_per_tether": 1, "damping_n_s_per_m": 100.0}
+base = {"damping_n_s_per_m": 1000.0}
 own = {"my_gain": 0.3, "my_stiffness": 1e-3, "tether_law": "my_spring", "thrust_limit_n": 0.05}
 built_in = {"rotation_damping_n_s_per_m": 0.3, "shape_keeping_n_per_m": 1e-3,
             "thrust_limit_n": 0.05}
-found = {"apart_m": [], "multipliers": [], "loss": [], "verdicts": [], "liouville": []}
 ends, results = [], []
 for law in (own, built_in, {}):
     system = ring(**base, **law)
@@ -132,9 +131,9 @@ def test_a_law_that_says_the_same_once_more_does_the_same(package):
     """Simulation and closed loop under the laws of the package, and under a user's."""
     found = answer(SAME, package, "my_laws:SPRING")
     assert found["apart"] < 1e-8 < 1.0 < found["effect"]
-    assert found["multipliers"] < 1e-9
-    assert found["deciding"][0] == pytest.approx(found["deciding"][1], abs=1e-12)
-    assert found["loss"][0] == pytest.approx(found["loss"][1], abs=1e-12)
+    assert found["multipliers"] < 1e-6  # of Jordan blocks; the one that decides:
+    assert found["deciding"][0] == pytest.approx(found["deciding"][1], abs=1e-11)
+    assert found["loss"][0] == pytest.approx(found["loss"][1], abs=1e-11)
     assert found["liouville"] < 1e-6
 
 
@@ -147,10 +146,9 @@ from tss_ros.core.model import forces
 from tss_ros.core.model.feedback import analysed, thrust
 from tss_ros.core.motion.propagator import Integrator
 
-system = ring(beads_per_tether=1, damping_n_s_per_m=1000.0, my_force_n=0.1, my_width_m_s=0.3)
+system = ring(damping_n_s_per_m=1000.0, my_force_n=0.1, my_width_m_s=4e-4)
 result = compute_floquet(system, -2.9, certify=False)
-spin = result.spin_rate_rad_s
-driven = Integrator(system, spin, 1e-13, 1e4).driven(result.spin_loss)
+driven = Integrator(system, result.spin_rate_rad_s, 1e-13, 1e4).driven(result.spin_loss)
 times = np.linspace(0.0, result.period_s, 60)
 r, v = Propagator(system, -2.9, result.state).sample(times)
 size = [np.linalg.norm(thrust(system, -2.9, State(*x)), axis=1).max() for x in zip(r, v)]
@@ -158,9 +156,9 @@ matrix = assert_variations_are_differences(driven, result.state, result.period_s
                                            result.switches)
 moduli = [np.sort(np.abs(x)) for x in (np.linalg.eigvals(matrix), result.multiplier)]
 
-state, symbolic = disturbed(result.state, 300.0, seed=2), analysed(system)
-arrays, none = driven.arrays._replace(acting=0), np.zeros(system.m, dtype=bool)
-r, v = state.position_m, state.velocity_m_s - spin * np.cross([0, 0, 1.0], state.position_m)
+state, symbolic = disturbed(result.state, 0.1, seed=2), analysed(system)
+arrays, none = driven.arrays._replace(acting=0, spin=0.0), np.zeros(system.m, dtype=bool)
+r, v = state.position_m, state.velocity_m_s
 by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
 forces.jacobian(arrays, symbolic.pair, none, 0.0, v, r, by_r, by_v)
 
@@ -170,8 +168,8 @@ def acceleration(v, r):
     return a
 
 missed = []
-for blocks, x, of, step in ((by_r, r, lambda r: acceleration(v, r), 5.0),
-                            (by_v, v, lambda v: acceleration(v, r), 5e-3)):
+for blocks, x, of, step in ((by_r, r, lambda r: acceleration(v, r), 1e-3),
+                            (by_v, v, lambda v: acceleration(v, r), 4e-6)):
     whole = np.zeros((system.n, 3, system.n, 3))
     whole[symbolic.row, :, symbolic.column, :] = blocks
     expected = differences(of, x, step).reshape(whole.shape)
@@ -184,7 +182,7 @@ print(json.dumps({"thrust": [min(size), max(size)], "missed": missed,
 def test_derivatives_and_multipliers_of_a_law_that_is_not_linear_are_differences(package):
     found = answer(NONLINEAR, package, "my_laws:SPRING")
     least, most = found["thrust"]
-    assert least < 0.2 * most and most > 0.05
+    assert 0.03 < least < most < 0.05  # of 0.1 N: between the dead band and the whole force
     assert max(found["missed"]) < 1e-6
     assert found["moduli"] < 1e-6
 

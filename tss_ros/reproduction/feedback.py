@@ -214,9 +214,10 @@ def delays(stopped: Callable[[], bool]) -> dict[str, Any]:
             for delay in DELAYS_S:
                 if stopped():
                     break
-                late = np.log(sampled_swing(gain, period, delay, start))
-                late = late[len(late) // 2 :] if len(late) > 5 else late
-                growth.append(math.exp(np.polyfit(np.arange(len(late)), late, 1)[0]))
+                swing = np.log(sampled_swing(gain, period, delay, start))
+                late = swing[len(swing) // 2 :] if len(swing) > 5 else swing
+                slope = np.polyfit(np.arange(len(late)), late, 1)[0] if len(late) > 1 else math.inf
+                growth.append(math.exp(slope))
             rows.append({"gain": gain, "period": period, "growth": growth})
     open_loop = core.compute_floquet(six_beads(0.0), RATE, certify=False)
     modes = core.compute_modes(six_beads(0.0), open_loop)

@@ -22,9 +22,13 @@ from tss_ros.plots.style import (
 )
 from tss_ros.reproduction import feedback
 from tss_ros.reproduction.feedback import (
+    DELAYS_S,
     GAINS,
     PUSH_M,
     RATE,
+    SAMPLED_GAINS,
+    SAMPLED_PUSH_M,
+    SAMPLED_TURNS,
     SETTLED,
     SIMULATED,
     SLOW,
@@ -117,22 +121,57 @@ def slow_figure(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def delays_figure(found: Mapping[str, Any]) -> Figure:
+    """What the swing does in a turn over the lag of a controller that samples."""
+    figure = Figure(figsize=(6.4, 4.8), dpi=DPI, layout="constrained")
+    axes = figure.add_subplot()
+    for i, gain in enumerate(SAMPLED_GAINS):
+        for j, row in enumerate(r for r in found["rows"] if r["gain"] == gain):
+            lag = np.array(DELAYS_S) + 0.5 * row["period"]
+            axes.plot(lag, np.minimum(row["growth"], SHOWN), color=COLOURS[i], marker=MARKERS[j],
+                      linestyle=LINE_STYLES[j], markersize=4, linewidth=1.0,
+                      label=f"c = {gain:g} N s/m, every {row['period']:g} s")  # fmt: skip
+        axes.plot([0.0], [found["continuous"][gain].deciding_modulus], "*", color=COLOURS[i],
+                  markersize=9)  # fmt: skip
+    axes.axhline(1.0, color=INK, linewidth=0.8)
+    axes.axvline(_quarter_s(found), color="0.5", linestyle=":")
+    axes.set(ylim=(0.94, SHOWN + 0.002))
+    finish(axes, "delay + half the period [s]", "growth of the swing in a turn [-]")
+    legend_below(figure, axes, columns=3)
+    figure.suptitle(
+        f"Six beads at {RATE:g} Ω, thrusters driven by a controller that samples\n"
+        "stars: without sampling; dotted: a quarter of the swing's period", color=INK,
+        fontsize="medium",
+    )  # fmt: skip
+    return figure
+
+
+def _quarter_s(found):
+    """A quarter [s] of the period of the beads' swing out of the plane."""
+    swings = [m.frequency for m in found["modes"]
+              if m.family == "shape" and m.direction == "out of plane"]  # fmt: skip
+    return six_beads(0.0).period_s(RATE) / (4.0 * np.mean(swings))
+
+
 # -- the page --------------------------------------------------------------------------------------
 
+#: Growth in a turn from which on a motion is shown as lost.
+SHOWN = 1.02
 #: What is computed, in order, and the pictures made of it.
 WORK = {
     "gains": feedback.gains, "settling": feedback.settling, "tethers": feedback.tethers,
-    "masses": feedback.masses, "slow": feedback.slow,
+    "masses": feedback.masses, "delays": feedback.delays, "slow": feedback.slow,
 }  # fmt: skip
 FIGURES = {
     "gains": (gains_figure, "gains"), "multipliers": (multipliers_figure, "gains"),
-    "settling": (settling_figure, "settling"), "slow": (slow_figure, "slow"),
+    "settling": (settling_figure, "settling"), "delays": (delays_figure, "delays"),
+    "slow": (slow_figure, "slow"),
 }  # fmt: skip
 
 
 def markdown(found: Mapping[str, Any]) -> str:
     """The page's text, of results of `WORK` by name."""
-    parts = "\n\n".join([INTRODUCTION, *_six_beads(found), *_limits(found), *_slow(found)])
+    parts = "\n\n".join([INTRODUCTION, *_six_beads(found), *_limits(found), *_delays(found), *_slow(found)])
     return "\n\n".join(_wrapped(part) for part in parts.split("\n\n")) + "\n"
 
 
@@ -238,6 +277,32 @@ def _limits(found):
             ],
         ),
         "Tethers damp best in the plane at a middling C, too: a stiff damper lets nothing stretch.",
+    ]
+
+
+def _delays(found):
+    rows, quarter = found["delays"]["rows"], _quarter_s(found["delays"])
+    cells = [
+        (f"{row['gain']:g}", f"{row['period']:g}",
+         *(f"{g:.4f}" if g < SHOWN else "lost" for g in row["growth"]))
+        for row in rows
+    ]  # fmt: skip
+    return [
+        "## Sampled, and late",
+        "A controller in a node sees the state now and then, and its command comes late. The same"
+        " law was simulated so, without feedback in the model: the state is sampled every period;"
+        " the thrust that follows from it acts a delay later, and is held until the next one, in"
+        " axes that turn with the formation. The table has the growth of the swing in a turn, from"
+        f" the later half of up to {SAMPLED_TURNS} turns after a push of {SAMPLED_PUSH_M:g} m;"
+        f" \"lost\" is {SHOWN:g} or more. Without sampling it is "
+        + ", ".join(
+            f"{found['delays']['continuous'][gain].deciding_modulus:.4f} with {gain:g} N s/m"
+            for gain in SAMPLED_GAINS
+        )
+        + ".",
+        table(("c [N s/m]", "period [s]", *(f"{d:g} s late" for d in DELAYS_S)), cells),
+        *_where_it_ends(rows, quarter),
+        _picture("delays", "Growth of the swing over the lag of the controller"),
     ]
 
 
