@@ -256,8 +256,8 @@ print(json.dumps(versions()["core"]))
 
 def test_parameters_of_own_laws_are_keys_of_scenarios_and_of_sweeps(package, tmp_path):
     core = answer(EVERYWHERE, package, "my_laws:SPRING")
-    bare = "import json; from tss_ros.sweeps.software import versions; import tss_ros.core.model.laws"
-    assert core != answer(f"{bare}; print(json.dumps(versions()['core']))", tmp_path)
+    bare = "import json; from tss_ros.core.model import laws; from tss_ros.sweeps import software"
+    assert core != answer(f"{bare}; print(json.dumps(software.versions()['core']))", tmp_path)
 
 
 # -- laws that are refused -------------------------------------------------------------------------
@@ -268,7 +268,8 @@ BAD = {
     ),
     "name no word": ('LAW = ThrustLaw("my law", "", linear, (GAIN,))', "its name must be a word"),
     "parameter taken": (
-        'LAW = ThrustLaw("l", "", lambda g, j2: linear(g, j2), (LawParameter("j2", "", "", 0, 1, 0),))',
+        'LAW = ThrustLaw("l", "", lambda g, j2: linear(g, j2),'
+        ' (LawParameter("j2", "", "", 0, 1, 0),))',
         "another name: 'j2' is taken",
     ),
     "parameter of what is seen": (
@@ -289,7 +290,7 @@ BAD = {
         'LAW = ThrustLaw("l", "", lambda g, gain: linear(g, gain)[:2], (GAIN,))',
         "its thrust must have three components, got 2",
     ),
-    "nothing": ('LAW = ThrustLaw("l", "", lambda g, gain: None, (GAIN,))', "its thrust failed: Typ"),
+    "nothing": ('LAW = ThrustLaw("l", "", lambda g, gain: None, (GAIN,))', "its thrust failed:"),
     "if": (
         'LAW = ThrustLaw("l", "", lambda g, gain: g.place if g.place[0] > 0 else g.shape, (GAIN,))',
         "its thrust failed: TypeError: .*; write + - * /, ** with a number, and sqrt, exp, excess",

@@ -174,14 +174,14 @@ def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) ->
     Returns
     -------
     ndarray
-        [m] root of the mean square in each turn, up to the turn in which it exceeds `LOST_M`.
+        [m] root of the mean square in each turn, before the one in which it exceeds `LOST_M`.
     """
     free, law = six_beads(0.0), six_beads(gain)
     spin, spinning = free.spin_rate_rad_s(RATE), FRAMES.index("spinning")
     motion, plan, swing = core.Propagator(free, RATE, start), [], []
     step_s, time = free.period_s(RATE) / SAMPLES, 0
     looks, whole = 0, np.zeros(free.m, dtype=bool)
-    while len(swing) < SAMPLED_TURNS and max(swing, default=0.0) < LOST_M:
+    while len(swing) < SAMPLED_TURNS:
         square = 0.0
         for _ in range(SAMPLES):
             while looks * period_s <= time * step_s:
@@ -194,34 +194,46 @@ def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) ->
                 motion.command(plan)
                 looks += 1
             z = motion.sample([time * step_s])[0][0, :, 2]
-            square += np.mean((z - np.average(z, weights=free.mass_kg)) ** 2) / SAMPLES
+            z -= np.average(z, weights=free.mass_kg)
+            if np.abs(z).max() > LOST_M:
+                return np.array(swing)
+            square += np.mean(z**2) / SAMPLES
             time += 1
         swing.append(math.sqrt(square))
     return np.array(swing)
 
 
+def _growth(swing):
+    """How a swing, by turns, grows in a turn: in its later half, when what decays fast is gone."""
+    late = np.log(swing[len(swing) // 2 if len(swing) > 5 else 0 :])
+    slope = np.polyfit(np.arange(len(late)), late, 1)[0] if len(late) > 1 else math.inf
+    return math.exp(slope)
+
+
 def delays(stopped: Callable[[], bool]) -> dict[str, Any]:
     """How the swing grows in a turn over gain, period and delay of a controller that samples.
 
-    A motion's later half tells: what decays quickly is gone by then.
+    And with feedback that does not sample, after the same push.
     """
-    rows, found = [], {}
+    rows, continuous = [], {}
     for gain in SAMPLED_GAINS:
-        result = found[gain] = core.compute_floquet(six_beads(gain), RATE, certify=False)
+        system = six_beads(gain)
+        result = core.compute_floquet(system, RATE, certify=False, cancelled=stopped)
         start = core.disturbed(result.state, SAMPLED_PUSH_M, seed=1)
+        times = result.period_s * np.arange(SAMPLED_TURNS * SAMPLES) / SAMPLES
+        z = core.Propagator(system, RATE, start).sample(times)[0][..., 2]
+        z -= np.average(z, axis=1, weights=system.mass_kg)[:, None]
+        square = np.mean(z.reshape(SAMPLED_TURNS, -1) ** 2, axis=1)
+        continuous[gain] = _growth(np.sqrt(square))
         for period in PERIODS_S:
-            growth = []
-            for delay in DELAYS_S:
-                if stopped():
-                    break
-                swing = np.log(sampled_swing(gain, period, delay, start))
-                late = swing[len(swing) // 2 :] if len(swing) > 5 else swing
-                slope = np.polyfit(np.arange(len(late)), late, 1)[0] if len(late) > 1 else math.inf
-                growth.append(math.exp(slope))
+            growth = [
+                _growth(sampled_swing(gain, period, delay, start))
+                for delay in DELAYS_S if not stopped()
+            ]  # fmt: skip
             rows.append({"gain": gain, "period": period, "growth": growth})
     open_loop = core.compute_floquet(six_beads(0.0), RATE, certify=False)
     modes = core.compute_modes(six_beads(0.0), open_loop)
-    return {"rows": rows, "continuous": found, "modes": modes}
+    return {"rows": rows, "continuous": continuous, "modes": modes}
 
 
 # -- three satellites in the unstable band ---------------------------------------------------------

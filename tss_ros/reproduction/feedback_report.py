@@ -21,14 +21,11 @@ from tss_ros.plots.style import (
     legend_below,
 )
 from tss_ros.reproduction import feedback
+from tss_ros.reproduction.delays_report import delayed, delays_figure
 from tss_ros.reproduction.feedback import (
-    DELAYS_S,
     GAINS,
     PUSH_M,
     RATE,
-    SAMPLED_GAINS,
-    SAMPLED_PUSH_M,
-    SAMPLED_TURNS,
     SETTLED,
     SIMULATED,
     SLOW,
@@ -40,7 +37,7 @@ from tss_ros.reproduction.feedback import (
     six_beads,
     three_star,
 )
-from tss_ros.reproduction.pages import compute, page_command, table
+from tss_ros.reproduction.pages import compute, page_command, picture, table
 
 # -- pictures --------------------------------------------------------------------------------------
 
@@ -121,42 +118,8 @@ def slow_figure(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def delays_figure(found: Mapping[str, Any]) -> Figure:
-    """What the swing does in a turn over the lag of a controller that samples."""
-    figure = Figure(figsize=(6.4, 4.8), dpi=DPI, layout="constrained")
-    axes = figure.add_subplot()
-    for i, gain in enumerate(SAMPLED_GAINS):
-        for j, row in enumerate(r for r in found["rows"] if r["gain"] == gain):
-            lag = np.array(DELAYS_S) + 0.5 * row["period"]
-            axes.plot(lag, np.minimum(row["growth"], SHOWN), color=COLOURS[i], marker=MARKERS[j],
-                      linestyle=LINE_STYLES[j], markersize=4, linewidth=1.0,
-                      label=f"c = {gain:g} N s/m, every {row['period']:g} s")  # fmt: skip
-        axes.plot([0.0], [found["continuous"][gain].deciding_modulus], "*", color=COLOURS[i],
-                  markersize=9)  # fmt: skip
-    axes.axhline(1.0, color=INK, linewidth=0.8)
-    axes.axvline(_quarter_s(found), color="0.5", linestyle=":")
-    axes.set(ylim=(0.94, SHOWN + 0.002))
-    finish(axes, "delay + half the period [s]", "growth of the swing in a turn [-]")
-    legend_below(figure, axes, columns=3)
-    figure.suptitle(
-        f"Six beads at {RATE:g} Ω, thrusters driven by a controller that samples\n"
-        "stars: without sampling; dotted: a quarter of the swing's period", color=INK,
-        fontsize="medium",
-    )  # fmt: skip
-    return figure
-
-
-def _quarter_s(found):
-    """A quarter [s] of the period of the beads' swing out of the plane."""
-    swings = [m.frequency for m in found["modes"]
-              if m.family == "shape" and m.direction == "out of plane"]  # fmt: skip
-    return six_beads(0.0).period_s(RATE) / (4.0 * np.mean(swings))
-
-
 # -- the page --------------------------------------------------------------------------------------
 
-#: Growth in a turn from which on a motion is shown as lost.
-SHOWN = 1.02
 #: What is computed, in order, and the pictures made of it.
 WORK = {
     "gains": feedback.gains, "settling": feedback.settling, "tethers": feedback.tethers,
@@ -171,7 +134,8 @@ FIGURES = {
 
 def markdown(found: Mapping[str, Any]) -> str:
     """The page's text, of results of `WORK` by name."""
-    parts = "\n\n".join([INTRODUCTION, *_six_beads(found), *_limits(found), *_delays(found), *_slow(found)])
+    sections = _six_beads(found), _limits(found), delayed(found["delays"]), _slow(found)
+    parts = "\n\n".join([INTRODUCTION, *(part for section in sections for part in section)])
     return "\n\n".join(_wrapped(part) for part in parts.split("\n\n")) + "\n"
 
 
@@ -208,10 +172,6 @@ coupled with every other: the law is meant for formations of some tens of satell
 must be the orbit normal."""
 
 
-def _picture(name, words):
-    return f"![{words}](feedback/{name}.png)"
-
-
 def _six_beads(found):
     best, motion = found["gains"]["best"], found["settling"]["own"]
     own = found["gains"]["open"]
@@ -239,12 +199,12 @@ def _six_beads(found):
         f"Of the gains tried {best['gain']:g} N s/m is best. Thrusters sit on the satellites, which"
         " the beads hardly move: a small gain takes little, a large one holds the satellites so"
         " still that the beads swing between fixed ends.",
-        _picture("gains", "What the slowest motions lose in a turn over the gain"),
-        _picture("multipliers", "Multipliers without and with feedback"),
+        picture("feedback/gains", "What the slowest motions lose in a turn over the gain"),
+        picture("feedback/multipliers", "Multipliers without and with feedback"),
         f"After a push of {PUSH_M:g} m the swing is below {SETTLED:.0%} of its first from turn"
         f" {found['settling']['settled']} on, with c = {WATCHED:g} N s/m; without feedback it is as"
         f" large after {TURNS} turns as at first.",
-        _picture("settling", "The swing out of the plane turn by turn"),
+        picture("feedback/settling", "The swing out of the plane turn by turn"),
         f"The thrust is at most {motion['thrust']:.2f} N a satellite, and it does not die away:"
         f" {motion['thrust_at_last']:.2f} N in the last turn. A rigid turn is no motion of the"
         " formation: the gravity gradient makes it sway twice a turn, and thrusters fight that for"
@@ -280,32 +240,6 @@ def _limits(found):
     ]
 
 
-def _delays(found):
-    rows, quarter = found["delays"]["rows"], _quarter_s(found["delays"])
-    cells = [
-        (f"{row['gain']:g}", f"{row['period']:g}",
-         *(f"{g:.4f}" if g < SHOWN else "lost" for g in row["growth"]))
-        for row in rows
-    ]  # fmt: skip
-    return [
-        "## Sampled, and late",
-        "A controller in a node sees the state now and then, and its command comes late. The same"
-        " law was simulated so, without feedback in the model: the state is sampled every period;"
-        " the thrust that follows from it acts a delay later, and is held until the next one, in"
-        " axes that turn with the formation. The table has the growth of the swing in a turn, from"
-        f" the later half of up to {SAMPLED_TURNS} turns after a push of {SAMPLED_PUSH_M:g} m;"
-        f" \"lost\" is {SHOWN:g} or more. Without sampling it is "
-        + ", ".join(
-            f"{found['delays']['continuous'][gain].deciding_modulus:.4f} with {gain:g} N s/m"
-            for gain in SAMPLED_GAINS
-        )
-        + ".",
-        table(("c [N s/m]", "period [s]", *(f"{d:g} s late" for d in DELAYS_S)), cells),
-        *_where_it_ends(rows, quarter),
-        _picture("delays", "Growth of the swing over the lag of the controller"),
-    ]
-
-
 def _slow(found):
     slow, rigid = found["slow"], rigid_gain(three_star(0.0), SLOW)
     held = slow["result"]
@@ -336,7 +270,7 @@ def _slow(found):
         f" {min(m['gain'] for m in slow['simulated'] if m['turns'] > 0.8 * SLOW_TURNS):g} N s/m on"
         " it goes on turning, flattened by the gravity gradient; the rounder it is to be, the more"
         " thrust it takes.",
-        _picture("slow", "Nearest and farthest satellite over the gain"),
+        picture("feedback/slow", "Nearest and farthest satellite over the gain"),
     ]
 
 
