@@ -260,6 +260,30 @@ def test_parameters_of_own_laws_are_keys_of_scenarios_and_of_sweeps(package, tmp
     assert core != answer(f"{bare}; print(json.dumps(software.versions()['core']))", tmp_path)
 
 
+DOCUMENTED = """
+import json
+import numpy as np
+from tss_ros.core import State, averaged_state, ring
+from tss_ros.core.model.feedback import thrust
+
+system = ring(soft_thrust_n=0.2)
+turn = averaged_state(system, -2.5)
+at_rest = thrust(system, -2.5, turn)
+turn.velocity_m_s[0] += [0.0, 0.0, 0.15]
+print(json.dumps([np.abs(at_rest).max(), *(float(z) for z in thrust(system, -2.5, turn)[:, 2])]))
+"""
+
+
+def test_the_law_of_the_page_does_what_the_page_says(tmp_path):
+    page = (ROOT / "docs" / "howto" / "own_law.md").read_text("utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    (tmp_path / "soft_thrust.py").write_text(code)
+    at_rest, *found = answer(DOCUMENTED, tmp_path, "soft_thrust:LAW")
+    expected = [-0.2 * e / (0.05**2 + e**2) ** 0.5 for e in (0.1, -0.05, -0.05)]
+    assert at_rest < 1e-9
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
 # -- laws that are refused -------------------------------------------------------------------------
 
 BAD = {
