@@ -465,6 +465,16 @@ def test_a_command_says_in_a_line_what_is_wrong(tmp_path):
         assert done.stderr.startswith("summary: ") and done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["satellites", "turns"])
+def test_a_parameter_that_scenarios_have_already_is_refused(name, tmp_path):
+    (tmp_path / "one_law.py").write_text(
+        ONE_LAW.replace("law_gain", name).replace("FACTOR * ", "").replace("from law_h", "# ")
+    )
+    done = run("import tss_ros.scenarios.parameters", tmp_path, "one_law:LAW")
+    words = f"TssError: a law's parameter needs another name: there is one called '{name}'"
+    assert words in done.stderr
+
+
 @pytest.mark.parametrize("law", [*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS], ids=lambda law: law.name)
 def test_the_package_s_own_laws_would_pass(law):
     if getattr(law, "orbit", None) is None:
