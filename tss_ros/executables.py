@@ -91,6 +91,12 @@ def run(name: str) -> int:
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
+    except ValueError as error:
+        # A law of a user's is refused as the core loads, before `main` minds such errors.
+        if type(error).__name__ != "TssError":
+            raise
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
 
 
 def _show_warnings_as_lines(name):

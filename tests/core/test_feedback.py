@@ -292,6 +292,26 @@ def test_a_closed_loop_carries_its_proofs(gains):
     assert max(result.segment_error, result.convergence_error, result.flow_error) < 1e-6
 
 
+@pytest.mark.parametrize("gains", ["damping", "both"])
+def test_multipliers_with_limited_thrust_are_those_of_differences_through_switches(gains):
+    """The thrust comes into its limit and out of it, and the tethers switch twelve times."""
+    limit = 0.02
+    system = ring(damping_n_s_per_m=1000.0, **GAINS[gains], thrust_limit_n=limit)
+    result = compute_floquet(system, -2.2, certify=False)
+    assert result.switches == 12
+    times = np.linspace(0.0, result.period_s, 100)
+    r, v = Propagator(system, -2.2, result.state).sample(times)
+    size = np.linalg.norm([thrust(system, -2.2, State(*x)) for x in zip(r, v)], axis=2)
+    assert size.min() < 0.4 * limit and 0.99 * limit < size.max() < limit
+    integrator = Integrator(system, result.spin_rate_rad_s, 1e-13, 1e4).driven(result.spin_loss)
+    matrix = assert_variations_are_differences(
+        integrator, result.state, result.period_s, 5e-8, 1e-6, switches=12
+    )
+    found, expected = (np.sort(np.abs(x)) for x in (np.linalg.eigvals(matrix), result.multiplier))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
+    assert result.deciding_modulus < 0.2
+
+
 def test_feedback_gives_back_the_spin_that_is_lost():
     """What the message says it aims at closes the true motion: nothing else drives it.
 

@@ -14,12 +14,12 @@ from scipy.integrate import solve_ivp
 
 from tss_ros.core import Propagator, State, TssError, disturbed, initial_state, ring
 from tss_ros.core.model import forces, laws, made
+from tss_ros.core.model.contract import Stretched, TetherLaw
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
-from tss_ros.core.model.laws.contract import Stretched, TetherLaw
 from tss_ros.core.model.laws.drag import EARTH_RATE_RAD_S
 from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
-from tss_ros.core.model.made import acceleration_of, tension_of
+from tss_ros.core.model.stated import acceleration_of, tension_of
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion import taylor_motion
 from tss_ros.core.motion.propagator import Integrator

@@ -11,7 +11,7 @@ import tss_ros
 LAW = '''
 """A pull towards the centre."""
 
-from tss_ros.core.model.laws.contract import BeadLaw, LawParameter
+from tss_ros.core.model.contract import BeadLaw, LawParameter
 
 TRAP = LawParameter("trap_per_s2", "Pull per distance from the centre", "1/s^2", 0.0, 1.0, 0.0)
 

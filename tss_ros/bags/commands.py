@@ -17,8 +17,8 @@ from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
-from tss_ros.core.model.feedback import feeds_back
-from tss_ros.core.model.laws.feedback import PARAMETERS as FEEDBACK
+from tss_ros.core.model.feedback import acting_thrusts
+from tss_ros.core.model.laws.feedback import THRUST_LIMIT
 from tss_ros.core.model.laws.orbit import ELEMENTS
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
@@ -98,8 +98,9 @@ def describe(recording: Recording) -> str:
         if law.parameters:
             values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
             lines.append(f"law           {law.name}: {', '.join(values)}")
-    if feeds_back(r.system):
-        values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in FEEDBACK)
+    if acting := acting_thrusts(r.system):
+        named = (*(p for law in acting for p in law.parameters), THRUST_LIMIT)
+        values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in named)
         lines.append(f"feedback      {', '.join(values)}")
     if r.versions:
         lines.append(f"simulated by  {', '.join(r.versions)}")

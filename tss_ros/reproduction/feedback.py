@@ -13,7 +13,9 @@ import numpy as np
 
 from tss_ros import core
 from tss_ros.core import FloquetResult, State, System
+from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.feedback import thrust
+from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.motion.propagator import Integrator
 
 #: Parameters of the laws that are varied.
@@ -27,6 +29,11 @@ WATCHED = 20.0
 PUSH_M, TURNS, SAMPLES, SETTLED = 10.0, 200, 40, 0.1
 #: Damping of tethers that is tried instead [N s/m], and changes of all masses.
 TETHERS, MASSES = (1e2, 1e3, 1e4, 1e5), (0.8, 0.9, 1.0, 1.1, 1.2)
+#: A controller that samples: gains [N s/m], periods and delays [s], push [m], most turns, and the
+#: swing [m] at which a motion is given up.
+SAMPLED_GAINS, PERIODS_S = (5.0, WATCHED, 50.0), (20.0, 40.0, 80.0)
+DELAYS_S = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0)
+SAMPLED_PUSH_M, SAMPLED_TURNS, LOST_M = 1.0, 60, 100.0
 #: The three satellites: rate over Omega inside the unstable band, the gain [N s/m] to begin with,
 #: by how much it is lowered, and how precisely the least one is found.
 SLOW, FIRST_GAIN, STEP, PRECISELY = -1.5, 5.0, 0.9, 1e-3
@@ -146,6 +153,87 @@ def masses(stopped: Callable[[], bool]) -> list[dict[str, Any]]:
             {"mass": change, "verdict": result.verdict, "slowest": result.max_modulus_nontrivial}
         )
     return rows
+
+
+# -- a controller that samples ---------------------------------------------------------------------
+
+
+def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) -> np.ndarray:
+    """The swing of the six beads out of the plane, driven by a controller that samples.
+
+    It sees the state every period. The thrust that follows from it acts a delay later, and until
+    the next one does, in axes that turn with the formation.
+
+    Parameters
+    ----------
+    gain : float
+        [N s/m]
+    period_s, delay_s : float
+    start : State
+
+    Returns
+    -------
+    ndarray
+        [m] root of the mean square in each turn, before the one in which it exceeds `LOST_M`.
+    """
+    free, law = six_beads(0.0), six_beads(gain)
+    spin, spinning = free.spin_rate_rad_s(RATE), FRAMES.index("spinning")
+    motion, plan, swing = core.Propagator(free, RATE, start), [], []
+    step_s, time = free.period_s(RATE) / SAMPLES, 0
+    looks, whole = 0, np.zeros(free.m, dtype=bool)
+    while len(swing) < SAMPLED_TURNS:
+        square = 0.0
+        for _ in range(SAMPLES):
+            while looks * period_s <= time * step_s:
+                now = looks * period_s
+                r, v = (x[0] for x in motion.sample([now]))
+                force = np.zeros((len(FRAMES), free.n, 3))
+                force[spinning] = thrust(law, RATE, State(r, v)) @ turn_about(Z_AXIS, spin * now)
+                plan = [held for held in plan if held[0] > motion.commanded_s]
+                plan.append((now + delay_s, core.Commands(force, whole)))
+                motion.command(plan)
+                looks += 1
+            z = motion.sample([time * step_s])[0][0, :, 2]
+            z -= np.average(z, weights=free.mass_kg)
+            if np.abs(z).max() > LOST_M:
+                return np.array(swing)
+            square += np.mean(z**2) / SAMPLES
+            time += 1
+        swing.append(math.sqrt(square))
+    return np.array(swing)
+
+
+def _growth(swing):
+    """How a swing, by turns, grows in a turn: in its later half, when what decays fast is gone."""
+    late = np.log(swing[len(swing) // 2 if len(swing) > 5 else 0 :])
+    slope = np.polyfit(np.arange(len(late)), late, 1)[0] if len(late) > 1 else math.inf
+    return math.exp(slope)
+
+
+def delays(stopped: Callable[[], bool]) -> dict[str, Any]:
+    """How the swing grows in a turn over gain, period and delay of a controller that samples.
+
+    And with feedback that does not sample, after the same push.
+    """
+    rows, continuous = [], {}
+    for gain in SAMPLED_GAINS:
+        system = six_beads(gain)
+        result = core.compute_floquet(system, RATE, certify=False, cancelled=stopped)
+        start = core.disturbed(result.state, SAMPLED_PUSH_M, seed=1)
+        times = result.period_s * np.arange(SAMPLED_TURNS * SAMPLES) / SAMPLES
+        z = core.Propagator(system, RATE, start).sample(times)[0][..., 2]
+        z -= np.average(z, axis=1, weights=system.mass_kg)[:, None]
+        square = np.mean(z.reshape(SAMPLED_TURNS, -1) ** 2, axis=1)
+        continuous[gain] = _growth(np.sqrt(square))
+        for period in PERIODS_S:
+            growth = [
+                _growth(sampled_swing(gain, period, delay, start))
+                for delay in DELAYS_S if not stopped()
+            ]  # fmt: skip
+            rows.append({"gain": gain, "period": period, "growth": growth})
+    open_loop = core.compute_floquet(six_beads(0.0), RATE, certify=False)
+    modes = core.compute_modes(six_beads(0.0), open_loop)
+    return {"rows": rows, "continuous": continuous, "modes": modes}
 
 
 # -- three satellites in the unstable band ---------------------------------------------------------

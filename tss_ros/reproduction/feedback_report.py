@@ -21,6 +21,7 @@ from tss_ros.plots.style import (
     legend_below,
 )
 from tss_ros.reproduction import feedback
+from tss_ros.reproduction.delays_report import delayed, delays_figure
 from tss_ros.reproduction.feedback import (
     GAINS,
     PUSH_M,
@@ -36,7 +37,7 @@ from tss_ros.reproduction.feedback import (
     six_beads,
     three_star,
 )
-from tss_ros.reproduction.pages import compute, page_command, table
+from tss_ros.reproduction.pages import compute, page_command, picture, table
 
 # -- pictures --------------------------------------------------------------------------------------
 
@@ -122,17 +123,19 @@ def slow_figure(found: Mapping[str, Any]) -> Figure:
 #: What is computed, in order, and the pictures made of it.
 WORK = {
     "gains": feedback.gains, "settling": feedback.settling, "tethers": feedback.tethers,
-    "masses": feedback.masses, "slow": feedback.slow,
+    "masses": feedback.masses, "delays": feedback.delays, "slow": feedback.slow,
 }  # fmt: skip
 FIGURES = {
     "gains": (gains_figure, "gains"), "multipliers": (multipliers_figure, "gains"),
-    "settling": (settling_figure, "settling"), "slow": (slow_figure, "slow"),
+    "settling": (settling_figure, "settling"), "delays": (delays_figure, "delays"),
+    "slow": (slow_figure, "slow"),
 }  # fmt: skip
 
 
 def markdown(found: Mapping[str, Any]) -> str:
     """The page's text, of results of `WORK` by name."""
-    parts = "\n\n".join([INTRODUCTION, *_six_beads(found), *_limits(found), *_slow(found)])
+    sections = _six_beads(found), _limits(found), delayed(found["delays"]), _slow(found)
+    parts = "\n\n".join([INTRODUCTION, *(part for section in sections for part in section)])
     return "\n\n".join(_wrapped(part) for part in parts.split("\n\n")) + "\n"
 
 
@@ -169,10 +172,6 @@ coupled with every other: the law is meant for formations of some tens of satell
 must be the orbit normal."""
 
 
-def _picture(name, words):
-    return f"![{words}](feedback/{name}.png)"
-
-
 def _six_beads(found):
     best, motion = found["gains"]["best"], found["settling"]["own"]
     own = found["gains"]["open"]
@@ -200,12 +199,12 @@ def _six_beads(found):
         f"Of the gains tried {best['gain']:g} N s/m is best. Thrusters sit on the satellites, which"
         " the beads hardly move: a small gain takes little, a large one holds the satellites so"
         " still that the beads swing between fixed ends.",
-        _picture("gains", "What the slowest motions lose in a turn over the gain"),
-        _picture("multipliers", "Multipliers without and with feedback"),
+        picture("feedback/gains", "What the slowest motions lose in a turn over the gain"),
+        picture("feedback/multipliers", "Multipliers without and with feedback"),
         f"After a push of {PUSH_M:g} m the swing is below {SETTLED:.0%} of its first from turn"
         f" {found['settling']['settled']} on, with c = {WATCHED:g} N s/m; without feedback it is as"
         f" large after {TURNS} turns as at first.",
-        _picture("settling", "The swing out of the plane turn by turn"),
+        picture("feedback/settling", "The swing out of the plane turn by turn"),
         f"The thrust is at most {motion['thrust']:.2f} N a satellite, and it does not die away:"
         f" {motion['thrust_at_last']:.2f} N in the last turn. A rigid turn is no motion of the"
         " formation: the gravity gradient makes it sway twice a turn, and thrusters fight that for"
@@ -271,7 +270,7 @@ def _slow(found):
         f" {min(m['gain'] for m in slow['simulated'] if m['turns'] > 0.8 * SLOW_TURNS):g} N s/m on"
         " it goes on turning, flattened by the gravity gradient; the rounder it is to be, the more"
         " thrust it takes.",
-        _picture("slow", "Nearest and farthest satellite over the gain"),
+        picture("feedback/slow", "Nearest and farthest satellite over the gain"),
     ]
 
 

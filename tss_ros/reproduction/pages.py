@@ -70,6 +70,11 @@ def html(markdown_text: str, folder: Path) -> str:
     return f"<!DOCTYPE html><html lang=en>{head}<body>\n{body}</body></html>\n"
 
 
+def picture(name: str, words: str) -> str:
+    """A picture of a page, in Markdown."""
+    return f"![{words}]({name}.png)"
+
+
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
 

@@ -93,7 +93,7 @@ SCENARIO = Parameter(
 #: What a request may override.
 OVERRIDES = _of_scenario("never")
 
-SIMULATOR = (
+SIMULATOR = scenario_parameters.distinct((
     dataclasses.replace(SCENARIO, applies="reset"),
     *_of_scenario("reset"),
     *(
@@ -147,7 +147,7 @@ SIMULATOR = (
         "frame_prefix", str,
         "Put before the name of every frame, to tell several simulators apart", default="",
     ),
-)  # fmt: skip
+))  # fmt: skip
 
 STABILITY = (
     Parameter("scheduler", str, "Dask cluster to sweep on", default="", note="empty: this machine"),

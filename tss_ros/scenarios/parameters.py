@@ -8,6 +8,7 @@ import argparse
 import array
 import math
 import numbers
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -202,8 +203,24 @@ _EVERY = (
         for p in LAW_PARAMETERS
     ),
 )  # fmt: skip
+
+
+def distinct(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """These parameters.
+
+    Raises
+    ------
+    TssError
+        If two have the same name, as where a law of a user's takes one that is there already.
+    """
+    name, count = Counter(parameter.name for parameter in parameters).most_common(1)[0]
+    if count > 1:
+        raise TssError(f"a law's parameter needs another name: there is one called {name!r}")
+    return parameters
+
+
 #: Parameters of a formation, with the defaults of `tss_ros.core.formation`.
-FORMATION = (*_SHAPE, *_EVERY)
+FORMATION = distinct((*_SHAPE, *_EVERY))
 SPIN_RATE_RATIO = Parameter(
     "spin_rate_ratio", float, "Spin rate over orbital rate in the orbit frame", "-",
     minimum=-1e4, maximum=1e4,
@@ -238,6 +255,7 @@ TURNS = Parameter(
     minimum=0.0, maximum=1e6, default=0.0,
 )  # fmt: skip
 RUN = (PUBLISH_PERIOD, *DISTURBANCE, TURNS)
+distinct((*SCENARIO, *RUN))
 #: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
 VARIED = tuple(parameter for parameter in FORMATION if not parameter.elements)
 

@@ -8,35 +8,35 @@ import numpy as np
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import averaged_state
+from tss_ros.core.model.contract import ThrustLaw
 from tss_ros.core.model.equilibria import equilibrium
-from tss_ros.core.model.feedback_thrust import add_thrust
+from tss_ros.core.model.feedback_thrust import THRUSTS, add_thrust, turn_damping
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
-from tss_ros.core.model.laws.feedback import (
-    PARAMETERS,
-    ROTATION_DAMPING,
-    SHAPE_KEEPING,
-)
+from tss_ros.core.model.laws import THRUST_LAWS
+from tss_ros.core.model.stated import SHAPE
 from tss_ros.core.model.system import State, System
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.block_lu import Symbolic
+from tss_ros.core.numerics.expressions import symbols
+
+
+def acting_thrusts(system: System) -> tuple[ThrustLaw, ...]:
+    """The laws by which thrusters of the satellites act on what the formation does."""
+    return tuple(law for law in THRUST_LAWS if system.law_parameters[law.parameters[0].name])
 
 
 def feeds_back(system: System) -> bool:
-    """Whether satellites have thrusters that act on what the formation does."""
-    return any(system.law_parameters[p.name] for p in (ROTATION_DAMPING, SHAPE_KEEPING))
+    """Whether there are such laws."""
+    return bool(acting_thrusts(system))
 
 
-def damping_time_s(system: System) -> float:
-    """Mass of the satellites over the damping against the rigid turn [s]; 0 without any."""
-    damping = system.law_parameters[ROTATION_DAMPING.name]
-    return float(np.mean(system.mass_kg[system.is_satellite])) / damping if damping else 0.0
-
-
-def feedback_dissipation(system: System) -> float:
-    """Minus the trace of the accelerations by velocity [1/s] that feedback adds, unlimited."""
-    beads = np.count_nonzero(system.is_satellite)
-    inverse = np.sum(1.0 / system.mass_kg[system.is_satellite])
-    return 3.0 * system.law_parameters[ROTATION_DAMPING.name] * inverse * (1.0 - 1.0 / beads)
+def damping_time_s(arrays: KernelArrays, system: System) -> float:
+    """Mass of the satellites over their damping against the rigid turn [s]; 0 without any."""
+    if not arrays.satellite.size:
+        return 0.0
+    chosen = system.is_satellite
+    damping = turn_damping(arrays, system.layout_m - np.mean(system.layout_m[chosen], axis=0))
+    return float(np.mean(system.mass_kg[chosen])) / damping if damping else 0.0
 
 
 def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> KernelArrays:
@@ -65,17 +65,18 @@ def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) 
             "feedback aims at a turn about the orbit normal, [0, 0, 1], but spin_axis is"
             f" {np.array2string(system.spin_axis, precision=6, separator=', ')}"
         )
-    gains = tuple(system.law_parameters[p.name] for p in PARAMETERS)
-    place = np.zeros((system.n, 3))
-    if system.law_parameters[SHAPE_KEEPING.name]:
+    acting = acting_thrusts(system)
+    shape = np.empty((0, 3))
+    if any(set(SHAPE) & symbols(*THRUSTS[THRUST_LAWS.index(law)]) for law in acting):
         if aim:
             ratio = spin_rate_rad_s / system.orbit_rate_rad_s
             place = averaged_state(system, ratio).position_m
         else:
             place = equilibrium(system)
-    shape = place - np.mean(place[system.is_satellite], axis=0)
+        shape = place - np.mean(place[system.is_satellite], axis=0)
     share = system.is_satellite / np.count_nonzero(system.is_satellite)
-    return arrays._replace(satellite=share, shape=shape, aim=aim, gains=gains)
+    thrusting = sum(1 << THRUST_LAWS.index(law) for law in acting)
+    return arrays._replace(satellite=share, shape=shape, aim=aim, thrusting=thrusting)
 
 
 def analysed(system: System) -> Symbolic:

@@ -1,23 +1,59 @@
-"""Thrusters of satellites that hold the formation's turn and its shape: a law of the state alone.
+"""Kernels of the thrusters: the thrust laws summed and limited, and the derivatives of that.
 
-With d the place of a satellite from the mean of all satellites, e its velocity there against a
-rigid turn at the spin asked about, and s its place in the steady shape, turned about z by the angle
-that fits the satellites best, the thruster gives
-
-    u = -c (e - omega z x d) - k (d - s),    F = u / sqrt(1 + |u|^2 / F_max^2),
-
-F = u without a limit. Neither term knows where the formation is on its orbit, and the second one
-not how far it has turned: without a limit the thrusts of all satellites sum up to zero, and the
-second ones have no torque about z. Linear but for that angle and the limit, so stated as code.
-
-Measured against the orbit frame itself, -c v would drive the formation away: the centre of mass
-would obey lambda (lambda^3 + 2 d lambda^2 + (d^2 + Omega^2) lambda - 3 d Omega^2) = 0 in the orbit
-plane, d = c/m, which has a root next to 3 d.
+What a law states of one satellite depends on all of them: through their mean place and velocity,
+and through the angle of the steady shape. The chain rule through these is here, the derivatives of
+the laws are made of their statements.
 """
 
 import math
 
-from tss_ros.core.numerics.simd import kernel, python_kernel
+from tss_ros.core.model.laws import LAW_PARAMETERS, THRUST_LAWS
+from tss_ros.core.model.laws.feedback import THRUST_LIMIT
+from tss_ros.core.model.made import CONSTANT_SOURCES, SCALARS
+from tss_ros.core.model.stated import MASS, PLACE, SHAPE, SPEED, SPIN, TURN, thrust_of
+from tss_ros.core.numerics.expressions import as_number, derivative
+from tss_ros.core.numerics.simd import inlined, kernel, python_kernel
+from tss_ros.core.numerics.value_maker import INDENT, compiled_source, function_of
+
+_LIMIT = LAW_PARAMETERS.index(THRUST_LIMIT)
+#: What the made functions are given of a satellite.
+_SEEN = (*PLACE, *SPEED, *SHAPE, MASS, TURN)
+_VALUE = "arrays, seen"
+_INPUTS = {s: f"seen[{k}]" for k, s in enumerate(_SEEN)} | {SPIN: "arrays.spin"} | CONSTANT_SOURCES
+#: Thrusts of all laws, in their order.
+THRUSTS = tuple(map(thrust_of, THRUST_LAWS))
+
+
+def _sum_of_laws(name, outputs):
+    """A function of the sums over the laws that act, of each one's expressions; then their code."""
+    sums = [f"s{k}" for k in range(len(outputs[0]))]
+    functions, lines = {}, [f"def {name}({_VALUE}):", f"{INDENT}{' = '.join(sums)} = 0.0"]
+    for i, (law, expressions) in enumerate(zip(THRUST_LAWS, outputs)):
+        own = f"{name}_{law.name}"
+        there = {s: e for s, e in zip(sums, expressions) if as_number(e) != 0.0}
+        if not there:
+            continue
+        functions[own] = inlined(function_of(own, _VALUE, _INPUTS, there.values(), SCALARS))
+        lines.append(f"{INDENT}if arrays.thrusting & {1 << i}:")
+        lines.append(f"{2 * INDENT}d = {own}({_VALUE})")
+        value = "d[{}]" if len(there) > 1 else "d"
+        lines += [f"{2 * INDENT}{s} += {value.format(k)}" for k, s in enumerate(there)]
+    lines.append(f"{INDENT}return {', '.join(sums)}")
+    return inlined(compiled_source(name, "\n".join(lines) + "\n", functions))
+
+
+def _slopes(by):
+    """Row by row, the derivatives of all laws by a vector."""
+    return [[derivative(a, b) for a in thrust for b in by] for thrust in THRUSTS]
+
+
+#: Thrust wanted of a satellite [N], and its derivatives by place, velocity and shape (9 each).
+_wanted = _sum_of_laws("thrust", THRUSTS)
+_by_place = _sum_of_laws("thrust_by_place", _slopes(PLACE))
+_by_speed = _sum_of_laws("thrust_by_speed", _slopes(SPEED))
+_by_shape = _sum_of_laws("thrust_by_shape", _slopes(SHAPE))
+#: How it changes with the rate that is aimed at.
+_by_turn = _sum_of_laws("thrust_by_turn", _slopes((TURN,)))
 
 
 @kernel
@@ -38,56 +74,79 @@ def _means(arrays, v, r):
 
 @kernel
 def _fit(arrays, r, x, y):
-    """Sums whose direction is the angle by which the steady shape fits best about a mean place."""
+    """Cosine and sine of the angle by which the steady shape fits best about a mean place.
+
+    And the sums whose direction it is; without a shape there is nothing to turn.
+    """
     along = across = 0.0 * x
+    if arrays.shape.shape[0] == 0:
+        return 1.0 + along, across, 1.0 + along, across
     for i in range(r.shape[0]):
         if arrays.satellite[i] > 0.0:
             sx, sy = arrays.shape[i, 0], arrays.shape[i, 1]
             dx, dy = r[i, 0] - x, r[i, 1] - y
             along += sx * dx + sy * dy
             across += sx * dy - sy * dx
-    return along, across
-
-
-@kernel
-def _wanted(arrays, i, v, r, means, c, s):
-    """The thrust u of a satellite before it is limited [N]; c, s: of the shape's angle."""
-    damping, keeping, _ = arrays.gains
-    turn = arrays.aim - arrays.spin
-    x, y, z, vx, vy, vz = means
-    dx, dy, dz = r[i, 0] - x, r[i, 1] - y, r[i, 2] - z
-    sx, sy, sz = arrays.shape[i, 0], arrays.shape[i, 1], arrays.shape[i, 2]
-    return (
-        -damping * (v[i, 0] - vx + turn * dy) - keeping * (dx - c * sx + s * sy),
-        -damping * (v[i, 1] - vy - turn * dx) - keeping * (dy - s * sx - c * sy),
-        -damping * (v[i, 2] - vz) - keeping * (dz - sz),
-    )
-
-
-@kernel
-def _angle(arrays, r, x, y):
-    """Cosine and sine of the shape's angle, and the sums that give it."""
-    along, across = _fit(arrays, r, x, y)
     size = math.sqrt(along * along + across * across)
     return along / size, across / size, along, across
+
+
+@inlined
+def _shape(arrays, i):
+    """Place of a satellite in the steady shape, 0 where no law asks for it."""
+    if arrays.shape.shape[0] == 0:
+        return 0.0, 0.0, 0.0
+    return arrays.shape[i, 0], arrays.shape[i, 1], arrays.shape[i, 2]
+
+
+@inlined
+def _seen(arrays, i, v, r, means, c, s):
+    """What the laws see of a satellite: the numbers of `_SEEN`."""
+    x, y, z, vx, vy, vz = means
+    sx, sy, sz = _shape(arrays, i)
+    return (
+        r[i, 0] - x, r[i, 1] - y, r[i, 2] - z, v[i, 0] - vx, v[i, 1] - vy, v[i, 2] - vz,
+        c * sx - s * sy, s * sx + c * sy, sz, 1.0 / arrays.inv_mass[i], arrays.aim - arrays.spin,
+    )  # fmt: skip
+
+
+@inlined
+def _inverse_limit(arrays):
+    """One over the square of the most that a satellite may thrust; 0 without a limit."""
+    limit = arrays.constants[_LIMIT]
+    return 1.0 / (limit * limit) if limit > 0.0 else 0.0
 
 
 @python_kernel
 def add_thrust(arrays, v, r, a):
     """Add the accelerations of the satellites by their thrusters to a (n, 3) [m/s^2]."""
     means = _means(arrays, v, r)
-    _, keeping, limit = arrays.gains
-    c, s = 1.0 + 0.0 * means[0], 0.0 * means[0]
-    if keeping > 0.0:
-        c, s, _, _ = _angle(arrays, r, means[0], means[1])
-    inverse = 1.0 / (limit * limit) if limit > 0.0 else 0.0
+    c, s, _, _ = _fit(arrays, r, means[0], means[1])
+    inverse = _inverse_limit(arrays)
     for i in range(r.shape[0]):
         if arrays.satellite[i] > 0.0:
-            x, y, z = _wanted(arrays, i, v, r, means, c, s)
+            x, y, z = _wanted(arrays, _seen(arrays, i, v, r, means, c, s))
             share = arrays.inv_mass[i] / math.sqrt(1.0 + inverse * (x * x + y * y + z * z))
             a[i, 0] += share * x
             a[i, 1] += share * y
             a[i, 2] += share * z
+
+
+@kernel
+def _limited(u, share, less, x, y, z):
+    """What a change x, y, z of the thrust wanted, u, makes of the acceleration."""
+    along = less * (u[0] * x + u[1] * y + u[2] * z)
+    return share * (x - along * u[0]), share * (y - along * u[1]), share * (z - along * u[2])
+
+
+@kernel
+def _columns(u, share, less, d):
+    """The same of each column of a matrix, given row by row."""
+    return (
+        _limited(u, share, less, d[0], d[3], d[6]),
+        _limited(u, share, less, d[1], d[4], d[7]),
+        _limited(u, share, less, d[2], d[5], d[8]),
+    )
 
 
 @python_kernel
@@ -104,48 +163,59 @@ def add_thrust_gradient(arrays, pair, v, r, by_r, by_v):
         Blocks i < n are the diagonal ones.
     """
     means = _means(arrays, v, r)
-    damping, keeping, limit = arrays.gains
-    c, s, along, across, size = 1.0, 0.0, 0.0, 0.0, 1.0
-    if keeping > 0.0:
-        c, s, along, across = _angle(arrays, r, means[0], means[1])
-        size = along * along + across * across
-    turn, inverse = arrays.aim - arrays.spin, 1.0 / (limit * limit) if limit > 0.0 else 0.0
+    c, s, along, across = _fit(arrays, r, means[0], means[1])
+    size, inverse = along * along + across * across, _inverse_limit(arrays)
     for i in range(r.shape[0]):
         if arrays.satellite[i] == 0.0:
             continue
-        u = _wanted(arrays, i, v, r, means, c, s)
+        seen = _seen(arrays, i, v, r, means, c, s)
+        u = _wanted(arrays, seen)
         square = 1.0 + inverse * (u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
         share, less = arrays.inv_mass[i] / math.sqrt(square), inverse / square
-        # A turn of the shape moves its places so.
-        tx = -s * arrays.shape[i, 0] - c * arrays.shape[i, 1]
-        ty = c * arrays.shape[i, 0] - s * arrays.shape[i, 1]
+        by_place = _columns(u, share, less, _by_place(arrays, seen))
+        by_speed = _columns(u, share, less, _by_speed(arrays, seen))
+        b = _columns(u, share, less, _by_shape(arrays, seen))
+        # A turn of the shape moves its places across them, and changes the acceleration so.
+        sx, sy = seen[6], seen[7]
+        tx, ty = sx * b[1][0] - sy * b[0][0], sx * b[1][1] - sy * b[0][1]
+        tz = sx * b[1][2] - sy * b[0][2]
         for j in range(r.shape[0]):
             if arrays.satellite[j] == 0.0:
                 continue
             block, part = i, (1.0 if i == j else 0.0) - arrays.satellite[j]
             if i != j:
                 block = pair[_pair_of(arrays, min(i, j), max(i, j)), 0 if i < j else 1]
-            c_part, k_part = damping * part, keeping * part
-            # The shape's angle by the place of j, times what it does to the thrust.
-            sx, sy = arrays.shape[j, 0], arrays.shape[j, 1]
-            gx = -keeping * (along * sy + across * sx) / size
-            gy = keeping * (along * sx - across * sy) / size
-            to_r, to_v = by_r[block], by_v[block]
-            _add_column(to_v, 0, share, less, u, -c_part, 0.0, 0.0)
-            _add_column(to_v, 1, share, less, u, 0.0, -c_part, 0.0)
-            _add_column(to_v, 2, share, less, u, 0.0, 0.0, -c_part)
-            _add_column(to_r, 0, share, less, u, tx * gx - k_part, ty * gx + turn * c_part, 0.0)
-            _add_column(to_r, 1, share, less, u, tx * gy - turn * c_part, ty * gy - k_part, 0.0)
-            _add_column(to_r, 2, share, less, u, 0.0, 0.0, -k_part)
+            # The shape's angle by the place of j.
+            sx, sy, _ = _shape(arrays, j)
+            angle = (-(along * sy + across * sx) / size, (along * sx - across * sy) / size, 0.0)
+            for q in range(3):
+                for p in range(3):
+                    by_r[block, p, q] += part * by_place[q][p]
+                    by_v[block, p, q] += part * by_speed[q][p]
+                by_r[block, 0, q] += tx * angle[q]
+                by_r[block, 1, q] += ty * angle[q]
+                by_r[block, 2, q] += tz * angle[q]
 
 
-@kernel
-def _add_column(matrix, q, share, less, u, x, y, z):
-    """Add to column q what a change x, y, z of the thrust wanted makes of the acceleration."""
-    along = less * (u[0] * x + u[1] * y + u[2] * z)
-    matrix[0, q] += share * (x - along * u[0])
-    matrix[1, q] += share * (y - along * u[1])
-    matrix[2, q] += share * (z - along * u[2])
+@python_kernel
+def turn_damping(arrays, place):
+    """Thrust [N] along a rigid turn over a speed [m/s] that the turn lacks, both small.
+
+    Parameters
+    ----------
+    arrays : KernelArrays
+    place : ndarray, shape (n, 3)
+        [m] of the beads in the turn, from the mean of the satellites.
+    """
+    along = square = 0.0
+    for i in range(place.shape[0]):
+        if arrays.satellite[i] > 0.0:
+            x, y, z = place[i, 0], place[i, 1], place[i, 2]
+            mass = 1.0 / arrays.inv_mass[i]
+            ux, uy, _ = _by_turn(arrays, (x, y, z, 0.0, 0.0, 0.0, x, y, z, mass, 0.0))
+            along += x * uy - y * ux
+            square += x * x + y * y
+    return along / square
 
 
 @kernel

@@ -56,8 +56,8 @@ class KernelArrays(NamedTuple):
         [m] places in the steady shape from the mean of the satellites, which the feedback keeps.
     aim : float
         omega [rad/s] about z that the feedback aims at.
-    gains : tuple of float
-        Values of `laws.feedback.PARAMETERS`.
+    thrusting : int
+        Which of `laws.THRUST_LAWS` act, one bit each.
     orbit_starts : ndarray, shape (k + 1,)
         [s] where the pieces of the orbit's table begin, and where the last one ends; empty on a
         circle, which needs no table.
@@ -96,7 +96,7 @@ class KernelArrays(NamedTuple):
     satellite: np.ndarray
     shape: np.ndarray
     aim: float
-    gains: tuple[float, float, float]
+    thrusting: int
     orbit_starts: np.ndarray
     orbit_table: np.ndarray
     orbit_period: float
@@ -146,7 +146,7 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         satellite=np.empty(0),
         shape=np.empty((0, 3)),
         aim=0.0,
-        gains=(0.0, 0.0, 0.0),
+        thrusting=0,
         orbit_starts=np.empty(0),
         orbit_table=np.empty((0, 0, 3)),
         orbit_period=0.0,

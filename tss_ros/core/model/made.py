@@ -12,11 +12,23 @@ from functools import partial
 import numpy as np
 
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
-from tss_ros.core.model.laws.contract import BeadLaw, Moving, Stretched, TetherLaw
+from tss_ros.core.model.stated import (
+    MEAN_MOTION,
+    RADIUS,
+    RATE,
+    SKY,
+    STRETCHED,
+    TURNING,
+    UP,
+    R,
+    V,
+    acceleration_in_sky,
+    acceleration_of,
+    energy_of,
+    tension_of,
+)
 from tss_ros.core.numerics import simd
 from tss_ros.core.numerics.expressions import (
-    Expression,
-    add,
     as_number,
     derivative,
     distributed,
@@ -30,78 +42,19 @@ from tss_ros.core.numerics.series_maker import SeriesProgram
 from tss_ros.core.numerics.simd import WIDTH
 from tss_ros.core.numerics.value_maker import INDENT, compiled_source, function_of
 
-_SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
+#: What the source of numbers may call.
+SCALARS = {"sqrt": math.sqrt, "exp": math.exp}
 _ARRAYS = {"sqrt": np.sqrt, "exp": np.exp}
-_LANES = {**_SCALARS, "load": simd.load, "store": simd.store, "splat": simd.splat}
+_LANES = {**SCALARS, "load": simd.load, "store": simd.store, "splat": simd.splat}
 
-# -- symbols ---------------------------------------------------------------------------------------
-
-_STRETCHED = Stretched(
-    symbol("length"), symbol("rate"),
-    *(symbol(name, varies=False) for name in ("rest", "stiffness", "damping")),
-)  # fmt: skip
-_CONSTANTS = {p.name: symbol(p.name, varies=False) for p in LAW_PARAMETERS}
-_CONSTANT_SOURCES = {
-    _CONSTANTS[p.name]: f"arrays.constants[{i}]" for i, p in enumerate(LAW_PARAMETERS)
+#: Sources of the parameters of laws, in the kernels.
+CONSTANT_SOURCES = {
+    symbol(p.name, varies=False): f"arrays.constants[{i}]" for i, p in enumerate(LAW_PARAMETERS)
 }
-_R, _V = (tuple(symbol(name) for name in names) for names in (("x", "y", "z"), ("vx", "vy", "vz")))
-_UP = (symbol("upx", varies=False), symbol("upy", varies=False))
-#: What `sky.sky_at` tells of the centre of an orbit that is no circle, in its order.
-_SKY = tuple(
-    symbol(f"sky_{name}", varies=False)
-    for name in ("ux", "uy", "uz", "radius", "mean_motion", "climb", "vx", "vy", "vz",
-                 "px", "py", "pz", "sx", "sy", "sz")
-)  # fmt: skip
-_RADIUS, _MEAN_MOTION, _TURNING, _RATE = (
-    symbol(name, varies=False) for name in ("radius", "mean_motion", "turning", "orbit_rate")
-)
 _ORBIT = {
-    _RADIUS: "arrays.radius", _MEAN_MOTION: "arrays.mean_motion", _RATE: "arrays.rate",
-    **_CONSTANT_SOURCES,
+    RADIUS: "arrays.radius", MEAN_MOTION: "arrays.mean_motion", RATE: "arrays.rate",
+    **CONSTANT_SOURCES,
 }  # fmt: skip
-
-
-def _own(law):
-    return {p.name: _CONSTANTS[p.name] for p in law.parameters}
-
-
-def tension_of(law: TetherLaw) -> Expression:
-    """Tension of a law as an expression of `length`, `rate`, `rest`, `stiffness`, `damping`.
-
-    Raises
-    ------
-    ValueError
-        If its part with the rate is not damping * rate.
-    """
-    tension = law.tension(_STRETCHED, **_own(law))
-    if derivative(tension, _STRETCHED.rate) is not _STRETCHED.damping:
-        raise ValueError(f"tether law {law.name!r}: the tension must grow by damping * rate")
-    return tension
-
-
-def acceleration_of(law: BeadLaw, up: tuple) -> tuple[Expression, ...]:
-    """Acceleration of a law on a circle, of x, y, z, vx, vy, vz, with `up` as given."""
-    going = _RADIUS * _RATE
-    centre, pole = (-going * up[1], going * up[0], add(0.0)), (0.0, 0.0, 1.0)
-    moving = Moving(_R, _V, up, _RADIUS, _MEAN_MOTION, _TURNING, add(0.0), centre, pole, sun=())
-    return tuple(law.acceleration(moving, **_own(law)))
-
-
-def acceleration_in_sky(law: BeadLaw) -> tuple[Expression, ...]:
-    """Acceleration of a law on any orbit, of x, y, z, vx, vy, vz and what `sky.sky_at` tells.
-
-    Of the orbit's centrifugal force it has n^2 (x, y, 0) with gravity, and nothing else.
-    """
-    radius, mean_motion, climb = _SKY[3:6]
-    centre, pole, sun = _SKY[6:9], _SKY[9:12], _SKY[12:15]
-    moving = Moving(
-        _R, _V, _SKY[:3], radius, mean_motion, _TURNING, climb, centre, pole, sun
-    )  # fmt: skip
-    x, y, z = law.acceleration(moving, **_own(law))
-    if law.orbit is None:
-        return x, y, z
-    share = law.orbit(radius, **_own(law)) * mean_motion**2
-    return x - share * _R[0], y - share * _R[1], z
 
 
 # -- functions of values ---------------------------------------------------------------------------
@@ -125,7 +78,7 @@ TENSION_INDEX = {law.name: TENSIONS.index(tension_of(law)) for law in TETHER_LAW
 
 def _tether_inputs():
     names = ("length", "rate", "rest", "stiffness", "damping")
-    return {**{getattr(_STRETCHED, name): name for name in names}, **_CONSTANT_SOURCES}
+    return {**{getattr(STRETCHED, name): name for name in names}, **CONSTANT_SOURCES}
 
 
 def _tether_function(name, outputs, mathematics, decorate):
@@ -139,15 +92,15 @@ def _tether_function(name, outputs, mathematics, decorate):
     return decorate(_choice(name, _TETHER_VALUE, lines, "arrays.tension == {}", functions))
 
 
-_WITH_SLOPE = [(t, derivative(t, _STRETCHED.length)) for t in TENSIONS]
+_WITH_SLOPE = [(t, derivative(t, STRETCHED.length)) for t in TENSIONS]
 #: Tension [N] of a taut tether, and its derivative by length [N/m]; that by rate is the damping.
-tension = _tether_function("tension", [(t,) for t in TENSIONS], _SCALARS, simd.inlined)
-tension_and_slope = _tether_function("tension_and_slope", _WITH_SLOPE, _SCALARS, simd.inlined)
+tension = _tether_function("tension", [(t,) for t in TENSIONS], SCALARS, simd.inlined)
+tension_and_slope = _tether_function("tension_and_slope", _WITH_SLOPE, SCALARS, simd.inlined)
 #: The same for numpy arrays.
 tension_and_slope_of_arrays = _tether_function(
     "tension_and_slope_of_arrays", _WITH_SLOPE, _ARRAYS, lambda function: function
 )
-_ENERGIES = {TENSION_INDEX[law.name]: law.energy(_STRETCHED, **_own(law)) for law in TETHER_LAWS}
+_ENERGIES = {TENSION_INDEX[law.name]: energy_of(law) for law in TETHER_LAWS}
 #: Elastic energy [J] of taut tethers, for numpy arrays.
 energy_of_arrays = _tether_function(
     "energy_of_arrays", [(_ENERGIES[i],) for i in range(len(TENSIONS))], _ARRAYS,
@@ -155,7 +108,7 @@ energy_of_arrays = _tether_function(
 )  # fmt: skip
 
 _BEAD_VALUE = "arrays, x, y, z, vx, vy, vz, upx, upy, turning"
-_LEVEL_UP = (*_UP, 0.0)
+_LEVEL_UP = (*UP, 0.0)
 _SKY_VALUE = "arrays, x, y, z, vx, vy, vz, sky, turning"
 _CIRCLE_LAWS = tuple(law for law in BEAD_LAWS if not law.feels_stars)
 
@@ -213,11 +166,11 @@ _ADD = "ax, ay, az = ax + dx, ay + dy, az + dz"
 
 
 def _bead_function(law, name, outputs, value=_BEAD_VALUE):
-    inputs = {s: s.name for s in (*_R, *_V, *_UP, _TURNING)} | _ORBIT
-    inputs |= {s: f"sky[{i}]" for i, s in enumerate(_SKY)}
+    inputs = {s: s.name for s in (*R, *V, *UP, TURNING)} | _ORBIT
+    inputs |= {s: f"sky[{i}]" for i, s in enumerate(SKY)}
     # Short functions that are called together are compiled together.
     decorate = simd.leaf if law is BEAD_LAWS[0] and value == _BEAD_VALUE else simd.inlined
-    return {name: decorate(function_of(name, value, inputs, outputs, _SCALARS))}
+    return {name: decorate(function_of(name, value, inputs, outputs, SCALARS))}
 
 
 #: How laws are seen: a prefix for names, arguments, and the acceleration by a law.
@@ -235,7 +188,7 @@ def _acceleration(law, seen=_ON_CIRCLE):
 def _jacobian(law, seen=_ON_CIRCLE):
     functions, lines, (prefix, arguments, of) = {}, [], seen
     a = of(law)
-    for matrix, by in (("by_r", _R), ("by_v", _V)):
+    for matrix, by in (("by_r", R), ("by_v", V)):
         entries = _entries(law, a, by)
         if not entries:
             continue
@@ -265,10 +218,10 @@ acceleration_of_bead_in_sky, jacobian_of_bead_in_sky = (
 
 # -- Taylor series ---------------------------------------------------------------------------------
 
-_TETHER_LENGTH_2 = dot(_R, _R)
+_TETHER_LENGTH_2 = dot(R, R)
 _AS_SERIES = {
-    _STRETCHED.length: sqrt(_TETHER_LENGTH_2),
-    _STRETCHED.rate: rate(_TETHER_LENGTH_2) / (2.0 * sqrt(_TETHER_LENGTH_2)),
+    STRETCHED.length: sqrt(_TETHER_LENGTH_2),
+    STRETCHED.rate: rate(_TETHER_LENGTH_2) / (2.0 * sqrt(_TETHER_LENGTH_2)),
 }
 #: Slots of `taylor_motion.Series.tethers` that all tether laws share: squared length, tension over
 #: length, and what of the latter's variation goes with that of the squared length's logarithm.
@@ -276,20 +229,20 @@ SQUARE, PULL, BY_LOGARITHM = range(3)
 
 
 def _tether_program(tension):
-    over_length = tension / _STRETCHED.length
+    over_length = tension / STRETCHED.length
     slope = 0.5 * (
-        derivative(over_length, _STRETCHED.length) * _STRETCHED.length
-        + derivative(over_length, _STRETCHED.rate) * _STRETCHED.rate
+        derivative(over_length, STRETCHED.length) * STRETCHED.length
+        + derivative(over_length, STRETCHED.rate) * STRETCHED.rate
     )
     pull, share = (distributed(substitute(e, _AS_SERIES)) for e in (over_length, slope))
-    inputs = {s: f"load(e, three + 3 * {WIDTH} * ({{}}) + {c * WIDTH})" for c, s in enumerate(_R)}
+    inputs = {s: f"load(e, three + 3 * {WIDTH} * ({{}}) + {c * WIDTH})" for c, s in enumerate(R)}
     rows = {"stiffness": 1, "damping": 2, "rest": 3}
     constants = {
-        getattr(_STRETCHED, name): f"load(tether, row + {k * WIDTH})" for name, k in rows.items()
+        getattr(STRETCHED, name): f"load(tether, row + {k * WIDTH})" for name, k in rows.items()
     }
     return SeriesProgram(
-        inputs, constants | _CONSTANT_SOURCES,
-        dict(zip("xyz", (pull * s for s in _R))),
+        inputs, constants | CONSTANT_SOURCES,
+        dict(zip("xyz", (pull * s for s in R))),
         kept=(_TETHER_LENGTH_2, pull, share),
         starts={pull: substitute(over_length, _AS_SERIES)},
     )  # fmt: skip
@@ -318,10 +271,10 @@ tether_series = _tether_series()
 _UPRIGHT = (0.0, 1.0, 0.0)
 _STEP = 3 * WIDTH
 _BEAD_INPUTS = {
-    **{s: f"load(r, three + {_STEP} * ({{0}}) + {c * WIDTH})" for c, s in enumerate(_R)},
+    **{s: f"load(r, three + {_STEP} * ({{0}}) + {c * WIDTH})" for c, s in enumerate(R)},
     **{
         s: f"(({{0}}) + 1.0) * load(r, three + {_STEP} * (({{0}}) + 1) + {c * WIDTH})"
-        for c, s in enumerate(_V)
+        for c, s in enumerate(V)
     },
 }
 
@@ -336,7 +289,7 @@ def _lie_together(programs):
     return slots
 
 
-_ROUND_ORBIT = _ORBIT | {_TURNING: "arrays.rate"}
+_ROUND_ORBIT = _ORBIT | {TURNING: "arrays.rate"}
 _BEAD_PROGRAMS = {
     law.name: SeriesProgram(
         _BEAD_INPUTS, _ROUND_ORBIT, dict(zip("xyz", acceleration_of(law, _UPRIGHT)))
@@ -367,7 +320,7 @@ def _gradient_program(law):
     }
     entries = {
         (matrix, *place): entry
-        for matrix, by in (("by_r", _R), ("by_v", _V))
+        for matrix, by in (("by_r", R), ("by_v", V))
         for place, entry in _entries(law, acceleration_of(law, _UPRIGHT), by).items()
     }
     outputs = {f"{matrix}{p}{q}": entry for (matrix, p, q), entry in entries.items()}

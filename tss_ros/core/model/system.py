@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.model.contract import BeadLaw, TetherLaw
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
-from tss_ros.core.model.laws.contract import BeadLaw, TetherLaw
 from tss_ros.core.presentation import Presented
 
 #: Gravitational parameter of the Earth [m^3/s^2], as in the paper.

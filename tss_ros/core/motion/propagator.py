@@ -84,9 +84,9 @@ class Integrator:
                 words = f"integrator {integrator!r} needs forces that rest in the orbit frame, of"
                 raise TssError(f"{words} each bead by itself, but {why}: choose 'auto' or 'radau'")
             kind = IMPLICIT
-        self.symbolic, self._s_of_feedback = analysed(system), damping_time_s(system)
-        self.tables = radau_tables.radau(stages)
-        self._table = None
+        self.symbolic = analysed(system)
+        self._s_of_feedback = damping_time_s(self.arrays, system)
+        self.tables, self._table = radau_tables.radau(stages), None
         self._no_samples = self.samples(np.empty(0))
         #: T = 2 pi / |omega| [s], one turn of the formation; of the orbit if it hangs.
         self.period_s = 2.0 * math.pi / abs(spin_rate_rad_s or system.orbit_rate_rad_s)

@@ -40,6 +40,9 @@ class Expression:
     def __neg__(self):
         return multiply(-1.0, self)
 
+    def __bool__(self):
+        raise TypeError("a formula is neither true nor false: it holds for all values at once")
+
     __radd__ = __add__
     __rmul__ = __mul__
 

@@ -6,6 +6,7 @@ where many turns of them follow each other; the recurrences of Taylor series hav
 
 from __future__ import annotations
 
+import hashlib
 import math
 import operator
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from typing import Any
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
+from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
@@ -26,15 +28,13 @@ from numba.extending import (
     register_model,
 )
 
-from tss_ros.core.fingerprint import KERNELS, fingerprint
+from tss_ros.core.fingerprint import KERNELS, NUMERICS, OWN_LAWS, fingerprint
 
 
 def _compiled(cache=True, python=False, **options):
     """A decorator like `njit`, for functions that Python calls or that only compiled code calls.
 
-    An entrance for Python takes longer to compile than most kernels. Caches hold for as long as
-    nothing that kernels are made of has changed: numba itself looks only at the file of the
-    function, not at what is inlined into it.
+    An entrance for Python takes longer to compile than most kernels.
     """
     jit = njit(
         cache=cache, nogil=True, error_model="numpy", no_cfunc_wrapper=True,
@@ -44,12 +44,44 @@ def _compiled(cache=True, python=False, **options):
     def decorate(function):
         dispatcher = jit(function)
         if cache:
-            dispatcher._cache._cache_file._source_stamp = fingerprint(KERNELS)
+            dispatcher._cache._cache_file = _CacheFile(dispatcher._cache._cache_file, function)
         if not python:
             dispatcher.__class__ = _Inner
         return dispatcher
 
     return decorate
+
+
+class _CacheFile(IndexDataCacheFile):
+    """A kernel's cache, which holds for as long as nothing that kernels are made of has changed.
+
+    numba itself looks only at the file of the function, not at what is inlined into it. With laws
+    of users there are files of their own. The stamp is in the data, too: another process, with
+    another version of a law, may replace them as soon as the index has been read.
+    """
+
+    def __init__(self, file, function):
+        self.__dict__ |= vars(file)
+        in_numerics = function.__module__ == __name__ or ".numerics." in function.__module__
+        self._packages, self._settled = NUMERICS if in_numerics else KERNELS, False
+
+    def _load_index(self):
+        if not self._settled:  # users' laws are known by the first use
+            self._source_stamp, self._settled = fingerprint(self._packages), True
+            if OWN_LAWS and self._packages == KERNELS:
+                names = hashlib.sha256(repr(sorted(OWN_LAWS)).encode()).hexdigest()[:8]
+                base = f"{self._index_name.removesuffix('.nbi')}-{names}"
+                super().__init__(self._cache_path, base, self._source_stamp)
+        return super()._load_index()
+
+    def _save_data(self, name, data):
+        super()._save_data(name, (self._source_stamp, data))
+
+    def _load_data(self, name):
+        stamp, data = super()._load_data(name)
+        if stamp != self._source_stamp:
+            raise OSError(f"{name} was replaced")  # which is taken as if there were none
+        return data
 
 
 class _Inner(CPUDispatcher):

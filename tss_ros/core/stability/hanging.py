@@ -16,7 +16,6 @@ import scipy.sparse
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import EQUILIBRIUM, InitialState
 from tss_ros.core.model.equilibria import equilibrium, imbalance, laws_at_rest
-from tss_ros.core.model.feedback import feedback_dissipation
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -24,6 +23,7 @@ from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import judge_exponents
 from tss_ros.core.stability.modes import label_hanging, multipliers, stays_in_plane
+from tss_ros.core.stability.proofs import bead_trace
 from tss_ros.core.stability.result import FloquetResult, asked
 from tss_ros.core.stability.shooting import closure
 
@@ -177,7 +177,7 @@ def _proofs(integrator, start, exponent, vectors, cancelled):
     taut = tether_state(system, start.position_m, start.velocity_m_s)[2] | system.bilateral
     damping = system.damping_n_s_per_m * taut
     trace = -np.sum(damping * (inverse[ends[:, 0]] + inverse[ends[:, 1]]))
-    trace -= feedback_dissipation(system)
+    trace += bead_trace(integrator, integrator.begin(start))
     return {
         "segment_error": float(np.max(missed / np.maximum(np.abs(after), 1.0))),
         "liouville_error": float(abs(np.sum(exponent.real) - trace) * period),

@@ -13,6 +13,7 @@ from tss_ros.core.model.feedback import feeds_back
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.state import IntegratorState
 from tss_ros.core.stability.shooting import Turn, integrate_turn
 
 #: Parts the turn is cut into beside the whole.
@@ -123,20 +124,31 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
     return worst
 
 
+def _feel_velocity(system):
+    return feeds_back(system) or any(law.by_velocity for law in system.acting_laws)
+
+
+def bead_trace(integrator: Integrator, motion: IntegratorState) -> float:
+    """Trace of the beads' accelerations by velocity [1/s] where a motion is, tethers left out."""
+    system, symbolic = integrator.system, integrator.symbolic
+    if not _feel_velocity(system):
+        return 0.0
+    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
+    slack, state = np.zeros(system.m, dtype=bool), (motion.time, motion.v, motion.r)
+    jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
+    return float(np.trace(by_v[: system.n].sum(axis=0)))
+
+
 def _bead_dissipation(integrator, motion, end):
     """Minus the trace of the beads' accelerations by velocity, integrated until a time."""
-    system, symbolic = integrator.system, integrator.symbolic
-    if not (feeds_back(system) or any(law.by_velocity for law in system.acting_laws)):
+    if not _feel_velocity(integrator.system):
         return 0.0
-    none = np.empty((system.n, 3, 0))
-    by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    slack, motion = np.zeros(system.m, dtype=bool), motion.with_variations(none, none)
+    none = np.empty((integrator.system.n, 3, 0))
+    motion = motion.with_variations(none, none)
     half, total = 0.5 * (end - motion.time), 0.0
     for time, weight in zip(motion.time + half * (NODES + 1.0), WEIGHTS):
         integrator.advance(motion, time)
-        state = motion.time, motion.v, motion.r
-        jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
-        total -= half * weight * float(np.trace(by_v[: system.n].sum(axis=0)))
+        total -= half * weight * bead_trace(integrator, motion)
     return total
 
 

@@ -1,5 +1,9 @@
-"""The laws of the model, a file each; a new one is registered here and nowhere else."""
+"""The laws of the model, a file each; a new one is registered here and nowhere else.
 
+Laws of users come with installed packages or from a file: see `model.own_laws`.
+"""
+
+from tss_ros.core.model.contract import BeadLaw, LawParameter, TetherLaw, ThrustLaw
 from tss_ros.core.model.laws import (
     drag,
     feedback,
@@ -11,7 +15,7 @@ from tss_ros.core.model.laws import (
     stiffening,
     tension_only,
 )
-from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, TetherLaw
+from tss_ros.core.model.own_laws import own_laws
 
 #: How tethers pull: one of them is chosen by `tether_law`.
 TETHER_LAWS: tuple[TetherLaw, ...] = (kelvin_voigt.LAW, tension_only.LAW, stiffening.LAW)
@@ -19,11 +23,19 @@ TETHER_LAWS: tuple[TetherLaw, ...] = (kelvin_voigt.LAW, tension_only.LAW, stiffe
 BEAD_LAWS: tuple[BeadLaw, ...] = (
     gravity.LAW, gravity.LINEAR_LAW, oblateness.LAW, drag.LAW, solar_pressure.LAW,
 )  # fmt: skip
-#: All parameters of laws, each once, those of the feedback and the elements of the orbit.
+#: What thrusters of satellites do: likewise.
+THRUST_LAWS: tuple[ThrustLaw, ...] = (feedback.ROTATION_DAMPING_LAW, feedback.SHAPE_KEEPING_LAW)
+#: Parameters that no law has for itself: the limit of thrusters, and the elements of the orbit.
+_OTHERS = (feedback.THRUST_LIMIT, *orbit.ELEMENTS)
+
+_OWN = own_laws((*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS), _OTHERS)
+TETHER_LAWS += tuple(law for law in _OWN if isinstance(law, TetherLaw))
+BEAD_LAWS += tuple(law for law in _OWN if isinstance(law, BeadLaw))
+THRUST_LAWS += tuple(law for law in _OWN if isinstance(law, ThrustLaw))
+#: All parameters of laws, each once, and the others.
 LAW_PARAMETERS: tuple[LawParameter, ...] = (
-    *dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS) for p in law.parameters),
-    *feedback.PARAMETERS,
-    *orbit.ELEMENTS,
+    *dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS) for p in law.parameters),
+    *_OTHERS,
 )
 #: Laws that may be chosen by their names alone: perturbations of the orbit.
 PERTURBATIONS = {law.name: law for law in BEAD_LAWS if law.typical}

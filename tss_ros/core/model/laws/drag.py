@@ -1,6 +1,6 @@
 """Drag in an atmosphere that thins out exponentially and turns with the Earth."""
 
-from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, Moving, Vector
+from tss_ros.core.model.contract import BeadLaw, LawParameter, Moving, Vector
 from tss_ros.core.numerics.expressions import Expression, cross, dot, excess, exp, sqrt
 
 #: Rate at which the Earth turns [rad/s].

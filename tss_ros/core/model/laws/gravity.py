@@ -4,7 +4,7 @@ The two cancel to about one part in a million. Their sum is written with
 f = 1 - (1 + u)^(-3/2), u = (|q|^2 - R^2) / R^2, q = r + R up, which is free of that cancellation.
 """
 
-from tss_ros.core.model.laws.contract import BeadLaw, Moving, Vector
+from tss_ros.core.model.contract import BeadLaw, Moving, Vector
 from tss_ros.core.numerics.expressions import dot, excess
 
 

@@ -3,7 +3,7 @@
 A taut tether that shortens fast enough pushes: the damper may outweigh the spring.
 """
 
-from tss_ros.core.model.laws.contract import Stretched, TetherLaw
+from tss_ros.core.model.contract import Stretched, TetherLaw
 from tss_ros.core.numerics.expressions import Expression
 
 

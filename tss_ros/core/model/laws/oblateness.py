@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, Moving, Vector
+from tss_ros.core.model.contract import BeadLaw, LawParameter, Moving, Vector
 from tss_ros.core.numerics.expressions import Expression, dot, power
 
 #: Equatorial radius that belongs to J2 [m].

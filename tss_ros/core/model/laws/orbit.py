@@ -1,6 +1,6 @@
 """The elements of the orbit that the formation's nominal centre follows."""
 
-from tss_ros.core.model.laws.contract import LawParameter
+from tss_ros.core.model.contract import LawParameter
 
 #: Beside the height of the perigee, `System.orbit_altitude_m`. On a circle the perigee is where
 #: the centre is at time 0, less the true anomaly.

@@ -3,7 +3,7 @@
 The Sun stays where it is: it moves by a degree in a day. Nothing is ever in the Earth's shadow.
 """
 
-from tss_ros.core.model.laws.contract import BeadLaw, LawParameter, Moving, Vector
+from tss_ros.core.model.contract import BeadLaw, LawParameter, Moving, Vector
 from tss_ros.core.numerics.expressions import Expression
 
 #: Pressure of sunlight on a black surface at the Earth's distance from the Sun [N/m^2].

@@ -1,6 +1,6 @@
 """A tether that only pulls and gets stiffer as it is stretched, as woven ones do."""
 
-from tss_ros.core.model.laws.contract import LawParameter, Stretched, TetherLaw
+from tss_ros.core.model.contract import LawParameter, Stretched, TetherLaw
 from tss_ros.core.numerics.expressions import Expression
 
 STIFFENING = LawParameter(

@@ -1,8 +1,9 @@
 """What a law states, and from which everything else follows.
 
-A tether law states the tension of a taut tether, a bead law the acceleration of a bead, each as an
-expression of `numerics.expressions`. Values, Jacobians, Taylor series and variations are made of
-it (`model.made`); tests hold every registered law to what it declares.
+A tether law states the tension of a taut tether, a bead law the acceleration of a bead, a thrust
+law the thrust of a satellite, each as an expression of `numerics.expressions`. Values, Jacobians,
+Taylor series and variations are made of it (`model.made`, `model.feedback_thrust`). Registered laws
+are held to what they declare: those of the package by tests, others when they are loaded.
 """
 
 from __future__ import annotations
@@ -176,3 +177,49 @@ class BeadLaw:
                 f"bead law {self.name!r} depends on the velocity, so it has no potential:"
                 " say from_potential=False"
             )
+
+
+@dataclass(frozen=True)
+class Guided:
+    """A satellite with thrusters, as a law sees it, in axes of which z is the orbit normal.
+
+    Attributes
+    ----------
+    place, velocity : tuple of Expression
+        [m] and [m/s] from the mean of all satellites; the velocity is that in the orbit frame.
+    rigid_velocity : tuple of Expression
+        [m/s] omega z x place, the velocity in a rigid turn at the rate that is aimed at.
+    shape : tuple of Expression
+        [m] its place in the steady shape, turned about z by the angle that fits the satellites
+        best.
+    mass : Expression
+        [kg]
+    """
+
+    place: Vector
+    velocity: Vector
+    rigid_velocity: Vector
+    shape: Vector
+    mass: Expression
+
+
+@dataclass(frozen=True)
+class ThrustLaw:
+    """What the thruster of every satellite does.
+
+    Thrusts of several laws are added; `thrust_limit_n` limits the sum.
+
+    Attributes
+    ----------
+    name, meaning : str
+    thrust : callable
+        Of a `Guided` and the law's parameters by name: three components [N]. It has to turn with
+        the satellites: the axes may be any with this z.
+    parameters : tuple of LawParameter
+        The law acts where the first of them is not zero.
+    """
+
+    name: str
+    meaning: str
+    thrust: Callable[..., Vector]
+    parameters: tuple[LawParameter, ...]
