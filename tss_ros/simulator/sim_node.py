@@ -22,11 +22,12 @@ from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
-from tss_ros.simulator import odometry
+from tss_ros.simulator import for_listeners, odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
+from tss_ros.simulator.for_listeners import ForListeners
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
@@ -45,10 +46,8 @@ RECORDER_SILENT_S = 3.0
 #: How long [s] a finished simulator waits for those who listen on each topic.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
-
-
-#: The topics of odometry and of commands, one for each satellite.
-ODOMETRY, COMMANDS = "{satellite}/odom", "~/{satellite}/cmd_wrench"
+#: The topics of commands, one for each satellite.
+COMMANDS = "~/{satellite}/cmd_wrench"
 
 
 class SimNode(TssNode):
@@ -62,18 +61,16 @@ class SimNode(TssNode):
         setup = self._make_setup()
         self._frame_id = self._options["frame_prefix"] + FRAME_ID
         topics = read_topics()
-        optional = {"/clock": "publish_clock", "/tf": "publish_tf"}
+        asked = {"/clock": "publish_clock", "/tf": "publish_tf"}
         self._publisher = {
             name: create_publisher(self, topic)
             for name, topic in topics.items()
             if topic.publisher == "sim_node"
-            and name != ODOMETRY
-            and self._options.get(optional.get(name), True)
+            and not topic.optional
+            and self._options.get(asked.get(name), True)
         }
         self._steps = StepPublisher(self._publisher, self._frame_id)
-        self._odometry = odometry.OdometryPublishers(
-            self, topics[ODOMETRY], self._options["frame_prefix"]
-        )
+        self._for_listeners = ForListeners(self, topics, self._options["frame_prefix"])
         self._recorded = [name for name in self._publisher if topics[name].recorded]
         depth = min(
             self._publisher[name].qos_profile.depth
@@ -151,7 +148,7 @@ class SimNode(TssNode):
             if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
                 inside(options["service_folder"], scenario, "scenario")
             system, *_ = systems.build_system(*systems.split_options(options))
-            odometry.check(options["odometry"], system)
+            for_listeners.check(options, system)
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -170,7 +167,7 @@ class SimNode(TssNode):
 
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
-        odometry.check(self._options["odometry"], built[0])
+        for_listeners.check(self._options, built[0])
         return Setup.of(self._options, *built)
 
     # --- in the simulation's thread
@@ -179,6 +176,7 @@ class SimNode(TssNode):
         try:
             self._control.run_until_end()
             self._steps.flush()
+            self._for_listeners.wait_for_recorder(LISTENER_FINISH_S)
             for name in ("tether_states", "bead_states"):
                 self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
         except Exception as error:
@@ -194,8 +192,10 @@ class SimNode(TssNode):
         self.get_logger().info("waiting for a recorder", once=True)
         in_bulk = self._publisher[blocks.TOPIC].get_subscription_count()
         names = [name for name in self._recorded if not (in_bulk and name in STATE_TOPICS)]
-        return any(recorder.matched for recorder in self._flow.recorders.values()) and all(
-            self._publisher[name].get_subscription_count() for name in names
+        return (
+            any(recorder.matched for recorder in self._flow.recorders.values())
+            and all(self._publisher[name].get_subscription_count() for name in names)
+            and self._for_listeners.recorder_listens
         )
 
     def _on_event(self, kind, text):
@@ -209,7 +209,7 @@ class SimNode(TssNode):
         setup = self._control.simulation.setup
         self._run = self._control.run
         self._steps.begin(setup)
-        self._odometry.begin(setup.system, setup.options["odometry"])
+        self._for_listeners.begin(setup)
         self._publisher["system_description"].publish(
             system_description(
                 setup.system,
@@ -241,7 +241,7 @@ class SimNode(TssNode):
         self._publish_events(step)
         self._shown = step, sample
         self._steps.publish(step, sample, new_run)
-        self._odometry.publish(sample)
+        self._for_listeners.publish(sample)
         if "/tf" in self._publisher and time.monotonic() >= self._tf_due:
             self._publish_frames()
         self._keep_clock()
@@ -287,7 +287,7 @@ class SimNode(TssNode):
         names = (*STATE_TOPICS, blocks.TOPIC, "/tf")
         names = [name for name in names if name in self._publisher]
         listeners = {name: self._publisher[name].get_subscription_count() for name in names}
-        listeners |= self._odometry.listeners()
+        listeners |= self._for_listeners.listeners()
         step, before = self._shown[0], self._listeners
         self._listeners = {"step": step, **listeners}
         if self._control.moving or before.get("step") != step:
@@ -298,7 +298,7 @@ class SimNode(TssNode):
             elif name in self._publisher:
                 self._steps.publish_topic(name)
             else:
-                self._odometry.publish(self._shown[1], name)
+                self._for_listeners.publish_again(self._shown[1], name)
 
     def _newest_states(self):
         """BeadStates and TetherStates of the newest state, as messages of their own."""

@@ -89,7 +89,7 @@ def simulate(
 
 
 def _write(setup, last, writer, on_progress, cancelled, commands):
-    topics = {name: topic for name, topic in read_topics().items() if topic.recorded}
+    topics = {n: t for n, t in read_topics().items() if t.recorded and not t.optional}
     channels = {
         name: writer.add_topic(f"/{name}", t.type, t.definition, t.type_hash, t.offered_qos)
         for name, t in topics.items()
