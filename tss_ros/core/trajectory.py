@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,13 @@ import numpy as np
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
+from tss_ros.core.model.failures import (
+    Failure,
+    FailureWatch,
+    Happened,
+    news_alone,
+    with_failures,
+)
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.frames import as_turned
 from tss_ros.core.model.system import State, System, finite
@@ -261,6 +268,7 @@ def simulate(
     state: State | None = None,
     rtol: float = 1e-10,
     integrator: str = "auto",
+    failures: Sequence[Failure] = (),
     cancelled: Callable[[], bool] | None = None,
 ) -> Trajectory:
     """Simulate a formation from its steady configuration or a given state, after a push.
@@ -283,6 +291,10 @@ def simulate(
         Undisturbed start; `initial_state` if not given.
     rtol, integrator
         See `Propagator`.
+    failures : sequence of Failure
+        What is to fail. Events are looked for at the states, `period_s` apart, and act from the
+        first that shows them; each costs another integration. A thruster that fails has no effect
+        here, because nothing is commanded.
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
 
@@ -312,10 +324,21 @@ def simulate(
         )
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
-    propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator)
     t_s = np.arange(math.floor(count) + 1) * between
-    position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+    watch, seen = FailureWatch(system, failures), 0
+    happened, found = watch.timed(), True
+    while found:
+        plan = news_alone(system, [c[:2] for c in with_failures(system, (), happened)])
+        propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator)
+        propagator.command(plan)
+        position_m, velocity_m_s = propagator.sample(t_s, cancelled)
+        length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
+        for edge_s, commands in plan:
+            behind = np.flatnonzero(t_s > edge_s)[:, None]
+            tension_n[behind, commands.cut], taut[behind, commands.cut] = 0.0, False
+        row, found = watch.look(tension_n[seen:], taut[seen:])
+        seen += row
+        happened += [Happened(t_s[seen], f.place(system), f.kind) for f in found]
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(
         system=system,

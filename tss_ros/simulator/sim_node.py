@@ -10,7 +10,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
-from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
+from tss_interfaces.msg import BeadStates, TetherStates
 
 from tss_ros.core import TssError
 from tss_ros.messages import blocks
@@ -22,12 +22,13 @@ from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
-from tss_ros.simulator import for_listeners, odometry
+from tss_ros.scenarios import scenario
+from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
-from tss_ros.simulator.for_listeners import ForListeners
+from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
@@ -143,12 +144,12 @@ class SimNode(TssNode):
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
-            scenario = options["scenario"]
+            name = options["scenario"]
             # Other names than those of shipped scenarios and YAML files are refused unread.
-            if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
-                inside(options["service_folder"], scenario, "scenario")
+            if name != self._options["scenario"] and name.endswith((".yaml", ".yml")):
+                inside(options["service_folder"], name, "scenario")
             system, *_ = systems.build_system(*systems.split_options(options))
-            for_listeners.check(options, system)
+            check(options, system)
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -167,8 +168,8 @@ class SimNode(TssNode):
 
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
-        for_listeners.check(self._options, built[0])
-        return Setup.of(self._options, *built)
+        check(self._options, built[0])
+        return Setup.of(self._options, *built, scenario.load(self._options["scenario"]).failures)
 
     # --- in the simulation's thread
 
@@ -236,8 +237,7 @@ class SimNode(TssNode):
         if new_run:
             self._describe(step, sample.time_ns)
             self.executor.create_task(self._commands.begin, system)
-        cut = self._commands.publish(system, step, self._control.run, self._frame_id)
-        self._events += [(SimulationEvent.KIND_CUT, text) for text in cut]
+        self._events += self._commands.publish(system, step, self._control.run, self._frame_id)
         self._publish_events(step)
         self._shown = step, sample
         self._steps.publish(step, sample, new_run)
