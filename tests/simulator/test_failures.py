@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from pilot import Pilot
 from ros_harness import motion, time_ns
 from simulation_interfaces.msg import Result
-from simulation_interfaces.srv import ResetSimulation
+from simulation_interfaces.srv import ResetSimulation, StepSimulation
 from tss_interfaces.srv import CutTether, FailActuator, RestoreSnapshot, SaveSnapshot
 
 from tss_ros.bags.recording import read_bag
@@ -24,6 +24,7 @@ from tss_ros.simulator.commands import Command
 from tss_ros.simulator.simulation import Simulation
 from tss_ros.simulator.straight import setup_of
 from tss_ros.simulator.trajectory import edge_s
+from tss_ros.sweeps.ensemble import ensemble
 
 PERIOD_S, S = 2.0, 10**9
 GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 5.0, "disturbance_seed": 3}
@@ -49,8 +50,8 @@ def scenario_file(folder, failures, **others):
     return str(path)
 
 
-def setup(folder, failures):
-    return setup_of(scenario_file(folder, failures), {}, RUN)
+def setup(folder, failures, **others):
+    return setup_of(scenario_file(folder, failures), {}, {**RUN, **others})
 
 
 def run(setup, count, commands=()):
@@ -72,8 +73,8 @@ def run(setup, count, commands=()):
     )
 
 
-def made_again(changes, count):
-    propagator = Propagator(SYSTEM, PLAIN.spin_rate_ratio, PLAIN.start)
+def made_again(changes, count, start=PLAIN.start):
+    propagator = Propagator(SYSTEM, PLAIN.spin_rate_ratio, start)
     propagator.command([(edge_s(PLAIN, c.time), c.commands) for c in changes])
     return np.stack(propagator.sample(PERIOD_S * np.arange(count)), axis=1)
 
@@ -118,7 +119,7 @@ def test_a_stuck_thruster_bears_new_commands_timeouts_and_their_changes():
     live.commands.post(push(4.0))
     live.commands.post(push(4.0, bead=1))
     live.fail(Happened(8 * S, 0, STUCK))
-    for _ in range(4):
+    for _ in range(5):
         live.take()
     live.commands.post(push(0.0, OTHER))
     for _ in range(3):
@@ -137,9 +138,9 @@ def test_a_stuck_thruster_bears_new_commands_timeouts_and_their_changes():
     assert [(c.time / S, c.commands, c.failed) for c in changes] == [
         (4.0, acting((0, FORCE), (1, FORCE)), ()),
         (8.0, acting((0, FORCE), (1, FORCE)), (("satellite_1", STUCK),)),
-        (12.0, acting((0, FORCE)), (("satellite_1", STUCK),)),
-        (18.0, acting(), (("satellite_1", DEAD),)),
-        (20.0, acting((0, OTHER)), ()),
+        (13.0, acting((0, FORCE)), (("satellite_1", STUCK),)),
+        (20.0, acting(), (("satellite_1", DEAD),)),
+        (22.0, acting((0, OTHER)), ()),
     ]  # fmt: skip
 
 
@@ -181,47 +182,56 @@ def test_what_cannot_fail_so_is_refused(tmp_path, entry, said):
 
 
 def test_failures_must_fit_the_system_that_is_simulated(tmp_path):
-    path = scenario_file(tmp_path, [{"at_s": 1.0, "cut": "tether_3"}])
-    assert scenario.load(path).failures == (Failure("cut", "tether_3", at_s=1.0),)
-    with pytest.raises(TssError, match="tether is 'tether_3'; allowed: tether_1"):
-        setup_of(path, {"satellites": 2}, RUN)
+    path = scenario_file(tmp_path, [{"at_s": 1.0, "cut": "tether_4"}], satellites=4)
+    assert scenario.load(path).failures == (Failure("cut", "tether_4", at_s=1.0),)
+    with pytest.raises(TssError, match="tether is 'tether_4'; allowed: tether_1"):
+        setup_of(path, {"satellites": 3}, RUN)
+    with pytest.raises(TssError, match="has failures, which ensembles do not know"):
+        ensemble(path, -2.9, 1.0, 0, turns=0.1)
     with pytest.raises(TssError, match="failures must be a list"):
         scenario.load(scenario_file(tmp_path, {"at_s": 1.0}))
 
 
-def failing(folder):
-    """Failures by time and by the event of a tension that the plain motion passes at state 40."""
-    _, tension_n, _ = run(PLAIN, 100)
-    limit_n = (tension_n[:40, 0].max() + tension_n[40:, 0].max()) / 2
-    state = int((tension_n[:, 0] > limit_n).argmax())
-    assert 40 <= state < 100
+COMMANDS = {3: [push(0.0, OTHER), push(0.0, FORCE, 2)], 250: [push(0.0, OTHER, 2)]}
+
+
+def failing(folder, commands=COMMANDS, **others):
+    """Failures by a time and by events: of a tension that passes its first maximum, and of slack.
+
+    Returns
+    -------
+    tuple of Setup and int
+        The state at which the tension passes it.
+    """
+    _, tension_n, _ = run(setup(folder, [], **others), 250, commands)
+    before, behind = tension_n[:40].max(axis=0), tension_n[40:].max(axis=0)
+    k = int((behind / before).argmax())
+    limit_n = float(before[k] + behind[k]) / 2
+    state = int((tension_n[:, k] > limit_n).argmax())
+    assert 40 <= state < 250
     entries = [
-        {"when": {"tether": "tether_1", "tension_n": float(limit_n)}, "cut": "tether_2"},
+        {"when": {"tether": SYSTEM.tether_name[k], "tension_n": limit_n}, "cut": "tether_2"},
         {"when": {"tether": "tether_2", "slack": True}, "dead": "satellite_1"},
         {"at_s": 51.5, "stuck": "satellite_3"},
     ]
-    return setup(folder, entries), state
+    return setup(folder, entries, **others), state
 
 
 def test_an_event_acts_from_the_first_step_that_shows_it(tmp_path):
     """A tension cuts a tether; that it is slack then kills a thruster, one step later."""
-    declared, state = failing(tmp_path)
-    commands = {3: [push(0.0, OTHER), push(0.0, FORCE, 2)], 200: [push(0.0, OTHER, 2)]}
-    plain = run(PLAIN, 100, {k: c for k, c in commands.items() if k < 100})
-    above = plain[1][:, 0] > declared.failures[0].tension_n
-    state = int(above.argmax())
-    assert above.any() and state > 30
-    states, tension_n, changes = run(declared, 300, commands)
-    cut = ["tether_2"]
+    declared, state = failing(tmp_path, disturbance_m=0.01)
+    plain = run(setup(tmp_path, [], disturbance_m=0.01), 250, COMMANDS)
+    states, tension_n, changes = run(declared, 300, COMMANDS)
+    forces, cut = acting((0, OTHER), (2, FORCE)), ["tether_2"]
     assert [(c.time / S, c.commands, c.failed) for c in changes] == [
-        (4.0, acting((0, OTHER), (2, FORCE)), ()),
-        (51.5, acting((0, OTHER), (2, FORCE)), (("satellite_3", STUCK),)),
+        (4.0, forces, ()),
+        (51.5, forces, (("satellite_3", STUCK),)),
         (state * PERIOD_S, acting((0, OTHER), (2, FORCE), cut=cut), (("satellite_3", STUCK),)),
         ((state + 1) * PERIOD_S, acting((2, FORCE), cut=cut),
          (("satellite_1", DEAD), ("satellite_3", STUCK))),
     ]  # fmt: skip
     np.testing.assert_array_equal(states[: state + 1], plain[0][: state + 1])
-    np.testing.assert_array_equal(states, made_again(changes, 300))
+    np.testing.assert_array_equal(states, made_again(changes, 300, declared.start))
     assert tension_n[state, 1] > 0.0 and not tension_n[state + 1 :, 1].any()
 
 
@@ -229,8 +239,8 @@ def test_a_snapshot_keeps_failures_that_are_to_come_and_those_that_are_past(tmp_
     declared, state = failing(tmp_path)
     for saved in (5, state + 1, state + 20):
         live = Simulation(declared, 0.0, threading.Event().set)
-        live.commands.post(push(0.0, FORCE, 2))
-        for _ in range(saved):
+        for k in range(saved):
+            assert all(map(live.commands.post, COMMANDS.get(k, ())))
             live.take()
         file = str(tmp_path / f"{saved}.npz")
         live.save(file)
@@ -241,7 +251,7 @@ def test_a_snapshot_keeps_failures_that_are_to_come_and_those_that_are_past(tmp_
         found = [other.take() for _ in range(150)]
         for a, b in zip(found, expected):
             np.testing.assert_array_equal(a.position_m, b.position_m)
-        assert other.take_changes()[-1] == live.take_changes()[-1]
+        assert other.take_changes()[-1][1:] == live.take_changes()[-1][1:]
         live.close()
         other.close()
     other = Simulation(setup(tmp_path, []), 0.0, threading.Event().set)
@@ -251,7 +261,7 @@ def test_a_snapshot_keeps_failures_that_are_to_come_and_those_that_are_past(tmp_
 
 
 def test_straight_simulations_and_the_core_obey_failures_too(tmp_path):
-    declared, state = failing(tmp_path)
+    declared, state = failing(tmp_path, {})
     states, tension_n, changes = run(declared, 400)
     turns = 399.5 * PERIOD_S / declared.turn_s
     straight.simulate(declared, turns, tmp_path / "bag")
@@ -271,6 +281,7 @@ def test_straight_simulations_and_the_core_obey_failures_too(tmp_path):
     np.testing.assert_array_equal(motion.position_m, states[:, 0])
     np.testing.assert_array_equal(motion.tension_n, tension_n)
     assert not motion.taut[state + 1 :, 1].any() and motion.taut[state, 1]
+    assert changes[0].time == 0 and changes[0].failed == (("satellite_1", DEAD),)
     with pytest.raises(TssError, match="tether is 'rope'; allowed: tether_1"):
         simulate(ring(), -2.9, turns=0.1, failures=[Failure("cut", "rope", at_s=1.0)])
     with pytest.raises(TssError, match="kind is 'melt'; allowed: cut, dead, stuck"):
@@ -337,7 +348,7 @@ def test_an_actuator_fails_by_a_request(pilot):
 
 def test_a_run_with_failures_is_recorded_made_again_and_begun_anew(start, client, tmp_path):
     """Declared ones, and a request while it runs; a reset brings back the declared ones alone."""
-    declared, state = failing(tmp_path)
+    declared, _ = failing(tmp_path, {20: [push(0.0, FORCE)]})
     logger = start("logger_node", output="bag")
     process = start(
         "sim_node", scenario=declared.options["scenario"], time_scale=0, start_paused=True,
@@ -345,12 +356,13 @@ def test_a_run_with_failures_is_recorded_made_again_and_begun_anew(start, client
     )  # fmt: skip
     simulator = ros_harness.Simulator(*client)
     pilot = Pilot(simulator)
-    pilot.sim.join()
+    while not (simulator.beads and simulator.status):
+        pilot.sim.do(StepSimulation, steps=1)
     pilot.step(20)
     pilot.send(FORCE)
-    simulator.do(FailActuator, actuator="satellite_1", mode="stuck", stamp=Time(sec=45))
+    simulator.do(FailActuator, actuator="satellite_1", mode="stuck", stamp=Time(sec=60))
     simulator.do(CutTether, tether="tether_3", stamp=Time(sec=300))
-    first = motion(pilot.step(380))
+    pilot.step(380)
     simulator.do(SaveSnapshot, file=str(tmp_path / "a.npz"))
     on = motion(pilot.step(5))
     simulator.do(RestoreSnapshot, file=str(tmp_path / "a.npz"))
@@ -359,8 +371,12 @@ def test_a_run_with_failures_is_recorded_made_again_and_begun_anew(start, client
     position_m = run(declared, 91)[0][90, 0]
     assert motion(pilot.step(90))[0] == position_m.tobytes()
     assert process.stop() == 0 and logger.stop() == 0, process.stderr + logger.stderr
-    recorded = read_bag(tmp_path / "bag")
-    assert not verify(tmp_path / "bag").faults
+    said = [event.text.split(" at ")[0] for event in simulator.events if event.kind == "fail"]
+    assert said == [
+        *("satellite_1: dead", "satellite_3: stuck", "satellite_1: stuck"),
+        *("satellite_1: dead", "satellite_3: stuck"),  # after the reset, which mends in silence
+    ]
+    recorded = read_bag(tmp_path / "bag", run=1)
     changes = read_commands(tmp_path / "bag", SYSTEM)
     assert changes[-1].failed and changes[-1].commands.cut.tolist() == [False, True, True]
     words = [f"--{name.replace('_', '-')}={value}" for name, value in GIVEN.items()]
@@ -370,5 +386,5 @@ def test_a_run_with_failures_is_recorded_made_again_and_begun_anew(start, client
     assert straight.main([name, *words, "--output", str(tmp_path / "again")]) == 0
     again = read_bag(tmp_path / "again")
     np.testing.assert_array_equal(again.position_m, recorded.position_m[: len(again.position_m)])
-    assert len(again.position_m) == 401 and first
+    assert len(again.position_m) == 401
     assert read_commands(tmp_path / "again", SYSTEM) == changes

@@ -91,7 +91,8 @@ class CommandTopics:
     ) -> None:
         self._node, self._topic, self._publisher = node, topic, publisher
         self._simulation, self._options = simulation, options
-        self._subscriptions, self._said, self._before = {}, {}, None
+        self._subscriptions, self._said = {}, {}
+        self._before, self._run = None, 0
 
     def begin(self, system: System) -> None:
         """Listen for a run's satellites; in the executor's thread, or before it spins."""
@@ -127,8 +128,8 @@ class CommandTopics:
         events = []
         for change in self._simulation.take_changes():
             self._publisher.publish(applied_wrenches(system, change, step, run, frame_id))
-            events += news(system, self._before, change)
-            self._before = change
+            events += news(system, self._before, change, run != self._run)
+            self._before, self._run = change, run
         return events
 
     def _on_wrench(self, name, message):

@@ -100,7 +100,9 @@ class FailureTable:
             self._kept.append(Happened(time_ns, place, MODES[mode], force_n if known else None))
 
 
-def news(system: System, before: Change | None, change: Change) -> Iterator[tuple[str, str]]:
+def news(
+    system: System, before: Change | None, change: Change, begins_run: bool = False
+) -> Iterator[tuple[str, str]]:
     """Tethers that have been cut and actuators that have failed or been repaired.
 
     Parameters
@@ -108,6 +110,8 @@ def news(system: System, before: Change | None, change: Change) -> Iterator[tupl
     system : System
     before, change : Change
         What acted before, if anything did, and what acts now, from a simulation time [ns] on.
+    begins_run : bool
+        Whether a run begins by it; what that mends is not told.
 
     Yields
     ------
@@ -122,5 +126,6 @@ def news(system: System, before: Change | None, change: Change) -> Iterator[tupl
     old, new = dict(before.failed if before else ()), dict(change.failed)
     for name in sorted({*old, *new}):
         mode = new.get(name, HEALTHY)
-        if mode != old.get(name, HEALTHY):
+        mended = begins_run and mode == HEALTHY
+        if mode != old.get(name, HEALTHY) and not mended:
             yield KIND_FAIL, f"{name}: {_WORDS[mode]} {at}"
