@@ -187,7 +187,7 @@ def test_failures_must_fit_the_system_that_is_simulated(tmp_path):
     with pytest.raises(TssError, match="tether is 'tether_4'; allowed: tether_1"):
         setup_of(path, {"satellites": 3}, RUN)
     with pytest.raises(TssError, match="has failures, which ensembles do not know"):
-        ensemble(path, -2.9, 1.0, 0, turns=0.1)
+        ensemble(path, (-2.9, -2.9, 1), [1.0], (0, 0), turns=1)
     with pytest.raises(TssError, match="failures must be a list"):
         scenario.load(scenario_file(tmp_path, {"at_s": 1.0}))
 

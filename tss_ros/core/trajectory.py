@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -325,20 +326,9 @@ def simulate(
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
     t_s = np.arange(math.floor(count) + 1) * between
-    watch, seen = FailureWatch(system, failures), 0
-    happened, found = watch.timed(), True
-    while found:
-        plan = news_alone(system, [c[:2] for c in with_failures(system, (), happened)])
-        propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator)
-        propagator.command(plan)
-        position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-        length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
-        for edge_s, commands in plan:
-            behind = np.flatnonzero(t_s > edge_s)[:, None]
-            tension_n[behind, commands.cut], taut[behind, commands.cut] = 0.0, False
-        row, found = watch.look(tension_n[seen:], taut[seen:])
-        seen += row
-        happened += [Happened(t_s[seen], f.place(system), f.kind) for f in found]
+    again = functools.partial(Propagator, system, spin_rate_ratio, start, rtol, integrator)
+    propagator, found = _with_failures(system, again, failures, t_s, cancelled)
+    position_m, velocity_m_s, length_m, tension_n, taut = found
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(
         system=system,
@@ -353,6 +343,28 @@ def simulate(
         taut=taut,
         switches=propagator.switches,
     )
+
+
+def _with_failures(system, again, failures, t_s, cancelled):
+    """The propagator at the end, and states, lengths, tensions and modes at times [s].
+
+    `again()` makes a propagator at the beginning: each event costs another integration.
+    """
+    watch, seen = FailureWatch(system, failures), 0
+    happened, found = watch.timed(), True
+    while found:
+        plan = news_alone(system, [c[:2] for c in with_failures(system, (), happened)])
+        propagator = again()
+        propagator.command(plan)
+        states = propagator.sample(t_s, cancelled)
+        length_m, tension_n, taut = tether_state(system, *states)
+        for edge_s, commands in plan:
+            behind = np.flatnonzero(t_s > edge_s)[:, None]
+            tension_n[behind, commands.cut], taut[behind, commands.cut] = 0.0, False
+        row, found = watch.look(tension_n[seen:], taut[seen:])
+        seen += row
+        happened += [Happened(t_s[seen], f.place(system), f.kind) for f in found]
+    return propagator, (*states, length_m, tension_n, taut)
 
 
 def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:
