@@ -327,26 +327,20 @@ def simulate(
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
     t_s = np.arange(math.floor(count) + 1) * between
     again = functools.partial(Propagator, system, spin_rate_ratio, start, rtol, integrator)
-    propagator, found = _with_failures(system, again, failures, t_s, cancelled)
-    position_m, velocity_m_s, length_m, tension_n, taut = found
+    found = _with_failures(system, again, failures, t_s, cancelled)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(
         system=system,
         spin_rate_ratio=float(spin_rate_ratio),
         reference_radius_m=radius_m,
         t_s=t_s,
-        position_m=position_m,
-        velocity_m_s=velocity_m_s,
-        deviation=deviation(position_m, radius_m),
-        length_m=length_m,
-        tension_n=tension_n,
-        taut=taut,
-        switches=propagator.switches,
+        deviation=deviation(found["position_m"], radius_m),
+        **found,
     )
 
 
 def _with_failures(system, again, failures, t_s, cancelled):
-    """The propagator at the end, and states, lengths, tensions and modes at times [s].
+    """What a Trajectory has of states at times [s].
 
     `again()` makes a propagator at the beginning: each event costs another integration.
     """
@@ -356,15 +350,22 @@ def _with_failures(system, again, failures, t_s, cancelled):
         plan = news_alone(system, [c[:2] for c in with_failures(system, (), happened)])
         propagator = again()
         propagator.command(plan)
-        states = propagator.sample(t_s, cancelled)
-        length_m, tension_n, taut = tether_state(system, *states)
+        position_m, velocity_m_s = propagator.sample(t_s, cancelled)
+        length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s)
         for edge_s, commands in plan:
             behind = np.flatnonzero(t_s > edge_s)[:, None]
             tension_n[behind, commands.cut], taut[behind, commands.cut] = 0.0, False
         row, found = watch.look(tension_n[seen:], taut[seen:])
         seen += row
         happened += [Happened(t_s[seen], f.place(system), f.kind) for f in found]
-    return propagator, (*states, length_m, tension_n, taut)
+    return {
+        "position_m": position_m,
+        "velocity_m_s": velocity_m_s,
+        "length_m": length_m,
+        "tension_n": tension_n,
+        "taut": taut,
+        "switches": propagator.switches,
+    }
 
 
 def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:
