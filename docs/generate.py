@@ -243,6 +243,13 @@ def parameters():
     return text
 
 
+#: Whether a topic is recorded, from its fields `recorded` and `optional`.
+_RECORDED = {
+    (True, False): "yes",
+    (True, True): "where published",
+    (False, False): "no",
+    (False, True): "no",
+}
 #: What the topics carry whose message type belongs to another package and so says nothing of it.
 _FOREIGN_TOPICS = {
     "markers": "Beads and tethers, for RViz and Foxglove.",
@@ -275,7 +282,7 @@ def topics():
             f"`{name}`",
             f"`{entry.get('publisher', 'sim_node')}`",
             shown,
-            "yes" if entry["recorded"] else "no",
+            _RECORDED[entry["recorded"], entry.get("optional", False)],
             f"{'latched' if entry['durability'] == 'transient_local' else 'volatile'},"
             f" {entry['depth']}",
             what,

@@ -1,6 +1,5 @@
 """Bags without nodes: what is written can be read, by others too, and what is broken is refused."""
 
-
 import numpy as np
 import pytest
 from mcap.exceptions import McapError
@@ -187,7 +186,9 @@ def test_every_recorded_topic_has_its_stamp_where_it_is_looked_for():
     assert stamp_ns(system_description(system, -2.5, ones, simulation), 4) == 0
     recorded = {name for name, topic in TOPICS.items() if topic.recorded}
     others = {"system_description", "stability_results", "applied_wrenches"}
-    assert recorded == {*messages, *others}
+    sensors = {name for name, topic in TOPICS.items() if topic.recorded and topic.optional}
+    assert recorded == {*messages, *others, *sensors} and len(sensors) == 2
+    assert {TOPICS[name].stamp_offset for name in sensors} == {4}
 
 
 def test_a_file_is_completed_after_a_time(tmp_path):

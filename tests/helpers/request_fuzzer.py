@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import ros_harness
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -41,7 +42,9 @@ from simulation_interfaces.srv import (
 )
 from tss_interfaces.srv import (
     ComputeFloquet,
+    CutTether,
     Disturb,
+    FailActuator,
     FindCriticalRates,
     RestoreSnapshot,
     SaveSnapshot,
@@ -102,6 +105,8 @@ class Fuzzer:
             (self._step, 10),
             (self._reset, 8),
             (self._disturb, 12),
+            (self._cut, 4),
+            (self._fail, 8),
             (self._entities, 8),
             (self._place, 6),
             (self._snapshot, 8),
@@ -201,6 +206,37 @@ class Fuzzer:
             allowed = (OK,) if fits and request.seed >= 0 else (FAILED,)
         fields = {name: getattr(request, name) for name in request.get_fields_and_field_types()}
         self._result(Disturb, "disturb", *allowed, **fields)
+
+    def _stamp(self):
+        """A stamp, and whether it is surely not too far ahead."""
+        pick = self._random.choice
+        sec, nanosec = (
+            pick([0, 0, 1, -1, -(2**31), 2**31 - 1]),
+            pick([0, 0, 999_999_999, 2**32 - 1]),
+        )
+        return Time(sec=sec, nanosec=nanosec), sec < 2**31 - 1
+
+    def _cut(self):
+        tether = self._random.choice(["tether_1", "tether_2", *NAMES])
+        stamp, fits = self._stamp()
+        allowed = (Result.RESULT_NOT_FOUND,)
+        if tether.startswith("tether"):  # beads rename the tethers
+            allowed += (OK if fits else FAILED,)
+        self._result(CutTether, "cut_tether", *allowed, tether=tether, stamp=stamp)
+
+    def _fail(self):
+        pick = self._random.choice
+        actuator, mode = pick(["satellite_2", "tether_1", *NAMES]), pick(
+            ["dead", "stuck", "healthy", "healthy", *NAMES]
+        )  # fmt: skip
+        stamp, fits = self._stamp()
+        known = mode in ("dead", "stuck", "healthy")
+        allowed = (FAILED,) if not (fits and known) else (OK,)
+        if not actuator.startswith("satellite"):
+            allowed = (Result.RESULT_NOT_FOUND,)
+        self._result(
+            FailActuator, "fail_actuator", *allowed, actuator=actuator, mode=mode, stamp=stamp
+        )
 
     def _entities(self):
         """Ask which entities fit filters, of which some are wrong, and for one of them."""

@@ -4,8 +4,15 @@ import random
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Vector3
 from rclpy.serialization import deserialize_message, serialize_message
-from tss_interfaces.msg import AppliedWrenches, FloquetResult, SystemDescription
+from tss_interfaces.msg import (
+    AppliedWrenches,
+    FloquetResult,
+    RelativeStates,
+    SystemDescription,
+    TetherMeasurements,
+)
 
 from tss_ros.core import initial_state
 from tss_ros.messages.steps import States, StepMessages
@@ -36,7 +43,19 @@ def messages():
         "simulation_events": simulation_event(10, 1, 0, "reset", "time and Ω", "orbit"),
         "stability_results": FloquetResult(verdict="stable", message="", tether_law="x"),
         "applied_wrenches": AppliedWrenches(
-            step=3, satellite=["a"], frame=["orbit"], force_n=[1.0, 2.0, 3.0], cut_tether=["é"]
+            step=3,
+            satellite=["a"],
+            frame=["orbit"],
+            force_n=[1.0, 2.0, 3.0],
+            cut_tether=["é"],
+            dead_actuator=["b"],
+            stuck_actuator=["é", "c"],
+        ),
+        "~/{satellite}/relative_states": RelativeStates(
+            observer="a", name=["b", "é"], position=[Vector3(x=1.0)] * 2, velocity=[Vector3()] * 2
+        ),
+        "~/tether_measurements": TetherMeasurements(
+            name=["t", "ü"], range_m=[1.0, 2.0], tension_n=[0.5, 0.25]
         ),
         "system_description": SystemDescription(
             bead_name=["a", "bc"], is_satellite=[True, False], tether_ends=[0, 1], versions=["é"]

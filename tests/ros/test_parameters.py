@@ -48,6 +48,16 @@ def test_what_is_not_given_is_left_to_the_scenario(given):
         "publish_clock": True,
         "publish_tf": False,
         "odometry": "",
+        "sensor_period_s": 0.0,
+        "sensor_seed": 0,
+        "position_noise_m": 0.0,
+        "position_bias_m": 0.0,
+        "velocity_noise_m_s": 0.0,
+        "velocity_bias_m_s": 0.0,
+        "range_noise_m": 0.0,
+        "range_bias_m": 0.0,
+        "tension_noise_n": 0.0,
+        "tension_bias_n": 0.0,
         "frame_prefix": "",
     }
 

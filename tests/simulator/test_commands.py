@@ -42,7 +42,7 @@ def states(simulation, count):
 def made_again(changes, count):
     """States of an integration that is told everything at its beginning."""
     propagator = Propagator(SYSTEM, SETUP.spin_rate_ratio, SETUP.start)
-    propagator.command([(edge_s(SETUP, time_ns), commands) for time_ns, commands in changes])
+    propagator.command([(edge_s(SETUP, time_ns), commands) for time_ns, commands, *_ in changes])
     return np.stack(propagator.sample(PERIOD_S * np.arange(count)), axis=1)
 
 
@@ -109,7 +109,7 @@ def test_states_are_those_of_an_integration_that_knew_all_commands_before():
         assert live.commands.post(command)
     found = np.concatenate([*found, states(live, 300)])
     changes = live.take_changes()
-    assert [t / S for t, _ in changes] == [12.0, 28.0, 51.25, 66.0, 88.0, 112.0]
+    assert [t / S for t, *_ in changes] == [12.0, 28.0, 51.25, 66.0, 88.0, 112.0]
     np.testing.assert_array_equal(found, made_again(changes, len(found)))
     plain = simulation()
     np.testing.assert_array_equal(found[:7], states(plain, 7))
@@ -137,8 +137,8 @@ def test_a_timeout_is_a_change_at_its_time():
     live.commands.post(push())
     found = states(live, 60)
     changes = live.take_changes()
-    assert [t / S for t, _ in changes] == [4.0, 11.5]
-    assert [c.pushes for _, c in changes] == [True, False]
+    assert [t / S for t, *_ in changes] == [4.0, 11.5]
+    assert [c.pushes for _, c, _ in changes] == [True, False]
     np.testing.assert_array_equal(found, made_again(changes, 63)[3:])
     live.close()
 
@@ -162,7 +162,7 @@ def test_a_snapshot_holds_forces_in_effect_and_to_come(tmp_path):
     other.take()
     np.testing.assert_array_equal(states(other, 200), expected)
     changes = other.take_changes()
-    assert [t / S for t, _ in changes] == [24.0, 40.0, 60.0, 108.0, 160.0]
+    assert [t / S for t, *_ in changes] == [24.0, 40.0, 60.0, 108.0, 160.0]
     other.close()
     live.close()
 
@@ -184,7 +184,7 @@ def test_disturbances_keep_commands_and_resets_end_them():
     again = states(live, 50)
     np.testing.assert_array_equal(again, states(simulation(), 50))
     (change,) = live.take_changes()
-    assert change == (0, Commands.none(SYSTEM))
+    assert change == (0, Commands.none(SYSTEM), ())
     live.close()
     whole.close()
 

@@ -96,6 +96,7 @@ def test_time_is_never_ahead_by_more_than_a_step(start, client, scale, duration_
 
 def test_diagnostics_know_faster_and_slower():
     """What keeps a simulator from being too fast leaves only the judgement to be tested."""
+
     def told(factor, late=False, state=SimulationState.STATE_PLAYING):
         status = SimulationStatus(time_scale=10.0, real_time_factor=factor)
         status.state.state = state

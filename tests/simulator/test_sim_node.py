@@ -263,9 +263,7 @@ def value_of(simulator, name):
     """The value that the simulator has for a parameter."""
     request = GetParameters.Request(names=[name])
     node, spin_until = simulator.node, simulator.spin_until
-    answer = ros_harness.call(
-        node, spin_until, GetParameters, "/sim_node/get_parameters", request
-    )
+    answer = ros_harness.call(node, spin_until, GetParameters, "/sim_node/get_parameters", request)
     return parameter_value_to_python(answer.values[0])
 
 
@@ -277,9 +275,7 @@ def dumped(simulator):
     )
     names = sorted(listed.result.names)
     request = GetParameters.Request(names=names)
-    answer = ros_harness.call(
-        node, spin_until, GetParameters, "/sim_node/get_parameters", request
-    )
+    answer = ros_harness.call(node, spin_until, GetParameters, "/sim_node/get_parameters", request)
     assert len(answer.values) == len(names)
     assert all(value.type != ParameterType.PARAMETER_NOT_SET for value in answer.values)
     return dict(zip(names, answer.values))

@@ -11,7 +11,13 @@ RING = ring(satellite_mass_kg=100.0)
 #: So slow that tethers go slack again and again: steps of both kinds are made.
 RATIO = -1.6
 PLACE = {"index": 9, "base_ns": 5, "since_ns": 3}
-COMMANDS = {"when_and_where": np.array([[10, 1, 2], [20, 0, -1]]), "force_n": np.ones((2, 3))}
+COMMANDS = {
+    "when_and_where": np.array([[10, 1, 2], [20, 0, -1]]),
+    "force_n": np.ones((2, 3)),
+    "failures": np.array([[10, 1, 2, 1]]),
+    "stuck_force_n": np.ones((1, 3, 3)),
+    "due": np.array([True, False, True]),
+}
 
 
 @pytest.fixture
@@ -81,7 +87,7 @@ def test_other_versions_are_refused_by_number(written, tmp_path, version, shown)
     other = changed(file, tmp_path, format_version=version)
     with pytest.raises(TssError) as caught:
         snapshot.read(other, identity, kept, furthest=256)
-    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 4"
+    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 5"
 
 
 def test_a_missing_entry_is_damage(written, tmp_path):

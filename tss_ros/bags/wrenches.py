@@ -8,16 +8,19 @@ from tss_ros.bags.directory import find_files
 from tss_ros.bags.mcap_file import McapFile
 from tss_ros.bags.reader import decoded
 from tss_ros.bags.records import BagError, Batch
-from tss_ros.core import Commands, System, TssError
-from tss_ros.messages.wrenches import commands_of
+from tss_ros.core import System, TssError
+from tss_ros.core.model.failures import Change
+from tss_ros.messages.wrenches import change_of
 
 _KINDS = ("AppliedWrenches", "SimulationEvent")
 #: Events of a run that its description and its wrenches do not tell all of.
 _UNTOLD = ("disturb", "place", "restore")
 
 
-def read_commands(path: str | Path, system: System) -> list[tuple[int, Commands]]:
+def read_commands(path: str | Path, system: System) -> list[Change]:
     """When [ns] what acts from outside changed in the first run of a bag, and what acted then.
+
+    Failures are among it, whether they were declared or asked for.
 
     Parameters
     ----------
@@ -56,11 +59,8 @@ def read_commands(path: str | Path, system: System) -> list[tuple[int, Commands]
     wrenches = found.get((_KINDS[0], topics[0]), []) if topics else []
     try:
         # Of several changes at one time, as at the beginning, the last one is what acted.
-        return list({
-            w.header.stamp.sec * 10**9 + w.header.stamp.nanosec: commands_of(system, w)
-            for w in wrenches
-            if w.run == 0
-        }.items())  # fmt: skip
+        changes = [change_of(system, w) for w in wrenches if w.run == 0]
+        return list({change.time: change for change in changes}.values())
     except (TssError, ValueError) as error:
         raise BagError(f"{str(path)!r} has commands of another system: {error}") from None
 

@@ -4,6 +4,7 @@ from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssE
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.configurations import averaged_state, deviation, disturbed, initial_state
 from tss_ros.core.model.elements import orbit_elements
+from tss_ros.core.model.failures import Failure
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.formations import FORMATIONS, Satellite, Tether, assemble, formation, ring
 from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS
@@ -66,6 +67,7 @@ __all__ = [
     "CurvePoint",
     "DisturbedMotion",
     "EnsembleJob",
+    "Failure",
     "Family",
     "FamilyJob",
     "FamilyPoint",

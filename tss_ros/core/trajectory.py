@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,13 @@ from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
+from tss_ros.core.model.failures import (
+    Failure,
+    FailureWatch,
+    Happened,
+    news_alone,
+    with_failures,
+)
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.frames import as_turned
 from tss_ros.core.model.reel_plans import rests_over
@@ -264,6 +272,7 @@ def simulate(
     rtol: float = 1e-10,
     integrator: str = "auto",
     plan: Sequence[tuple[float, Commands]] = (),
+    failures: Sequence[Failure] = (),
     cancelled: Callable[[], bool] | None = None,
 ) -> Trajectory:
     """Simulate a formation from its steady configuration or a given state, after a push.
@@ -284,6 +293,10 @@ def simulate(
         Undisturbed start; `initial_state` if not given.
     rtol, integrator, plan
         See `Propagator`.
+    failures : sequence of Failure
+        What is to fail. Events are looked for at the states, `period_s` apart, and act from the
+        first that shows them; each costs another integration. A thruster that fails has no effect
+        here, because nothing is commanded.
     cancelled : callable, optional
         Asked now and then; a true answer stops the work.
 
@@ -313,25 +326,46 @@ def simulate(
         )
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
-    propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator, plan=plan)
     t_s = np.arange(math.floor(count) + 1) * between
-    position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-    rests = rests_over(system, plan, t_s)
-    length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
+    again = functools.partial(Propagator, system, spin_rate_ratio, start, rtol, integrator)
+    found = _with_failures(system, again, (plan, failures), t_s, cancelled)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(
         system=system,
         spin_rate_ratio=float(spin_rate_ratio),
         reference_radius_m=radius_m,
         t_s=t_s,
-        position_m=position_m,
-        velocity_m_s=velocity_m_s,
-        deviation=deviation(position_m, radius_m),
-        length_m=length_m,
-        tension_n=tension_n,
-        taut=taut,
-        switches=propagator.switches,
+        deviation=deviation(found["position_m"], radius_m),
+        **found,
     )
+
+
+def _with_failures(system, again, acting, t_s, cancelled):
+    """What a Trajectory has of states at times [s].
+
+    `acting` is what is planned, and what is to fail. `again` makes a propagator at the beginning:
+    each event costs another integration.
+    """
+    (plan, failures), seen = acting, 0
+    watch = FailureWatch(system, failures)
+    happened, found = watch.timed(), True
+    while found:
+        acting = news_alone(system, [c[:2] for c in with_failures(system, plan, happened)])
+        propagator = again(plan=acting)
+        position_m, velocity_m_s = propagator.sample(t_s, cancelled)
+        rests = rests_over(system, acting, t_s)
+        length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
+        row, found = watch.look(tension_n[seen:], taut[seen:])
+        seen += row
+        happened += [Happened(t_s[seen], f.place(system), f.kind) for f in found]
+    return {
+        "position_m": position_m,
+        "velocity_m_s": velocity_m_s,
+        "length_m": length_m,
+        "tension_n": tension_n,
+        "taut": taut,
+        "switches": propagator.switches,
+    }
 
 
 def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:

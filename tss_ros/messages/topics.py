@@ -28,6 +28,7 @@ class Topic:
     durability: str
     depth: int
     publisher: str = "sim_node"
+    optional: bool = False
 
     def __post_init__(self):
         if self.durability not in ("volatile", "transient_local"):

@@ -6,6 +6,7 @@ import numpy as np
 
 from tss_ros.core import Commands, System
 from tss_ros.core.model.commands import FRAMES
+from tss_ros.core.model.failures import DEAD, STUCK, Change, thruster
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, header
 from tss_ros.messages.topics import read_topics
@@ -16,8 +17,7 @@ TOPIC = "applied_wrenches"
 
 def applied_wrenches(
     system: System,
-    commands: Commands,
-    time_ns: int,
+    change: Change,
     step: int,
     run: int = 0,
     frame_id: str = FRAME_ID,
@@ -27,9 +27,8 @@ def applied_wrenches(
     Parameters
     ----------
     system : System
-    commands : Commands
-    time_ns : int
-        Simulation time [ns] from which they hold.
+    change : Change
+        Of a simulation time [ns].
     step, run : int
         Of the first state that shows them.
     frame_id : str
@@ -39,20 +38,23 @@ def applied_wrenches(
     -------
     bytes
     """
+    commands, failed = change.commands, change.failed
     frames, beads = np.nonzero(commands.force_n.any(axis=2))
     said = {
-        "header": header(time_ns, frame_id),
+        "header": header(change.time, frame_id),
         "step": step,
         "run": run,
         "satellite": [system.bead_name[i] for i in beads],
         "frame": [FRAMES[i] for i in frames],
         "force_n": commands.force_n[frames, beads].ravel(),
         "cut_tether": [system.tether_name[i] for i in np.flatnonzero(commands.cut)],
+        "dead_actuator": [name for name, mode in failed if mode == DEAD],
+        "stuck_actuator": [name for name, mode in failed if mode == STUCK],
     }
     return serialised(read_topics()[TOPIC].definition, said)
 
 
-def commands_of(system: System, message: Any) -> Commands:
+def change_of(system: System, message: Any) -> Change:
     """What a message AppliedWrenches says.
 
     Raises
@@ -62,4 +64,10 @@ def commands_of(system: System, message: Any) -> Commands:
     """
     forces_n = np.reshape(message.force_n, (-1, 3))
     forces = zip(message.satellite, message.frame, forces_n, strict=True)
-    return Commands.of(system, forces, message.cut_tether)
+    stamp = message.header.stamp
+    modes = {DEAD: "dead_actuator", STUCK: "stuck_actuator"}
+    # Bags made before actuators could fail have neither.
+    failed = [(name, mode) for mode, f in modes.items() for name in getattr(message, f, ())]
+    failed.sort(key=lambda pair: thruster(system, pair[0]))
+    commands = Commands.of(system, forces, message.cut_tether)
+    return Change(stamp.sec * 10**9 + stamp.nanosec, commands, tuple(failed))

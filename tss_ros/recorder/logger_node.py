@@ -21,6 +21,7 @@ from tss_ros.core.errors import TssError
 from tss_ros.messages import blocks
 from tss_ros.messages.cdr import step_number
 from tss_ros.messages.topics import STATE_TOPICS
+from tss_ros.recorder.optional_topics import OptionalTopics
 from tss_ros.recorder.recorded_topic import RecordedTopic
 from tss_ros.recorder.run_order import RunOrder
 from tss_ros.recorder.simulators import Simulators, is_told
@@ -31,6 +32,8 @@ from tss_ros.ros.topics import read_topics
 from tss_ros.ros.words import check_words
 
 FLUSH_PERIOD_S = 0.25
+#: How often [s] to look for topics that are published only where parameters ask for it.
+FIND_PERIOD_S = 0.25
 #: How long [s] a running simulator is looked for before a recorder subscribes.
 ANNOUNCE_S = 0.5
 #: Reports go out this often [s], to show that the recorder lives, and after this many steps.
@@ -65,17 +68,11 @@ class LoggerNode(TssNode):
         self._last_step = self._reported_step = -1
         self._incomplete = collections.deque()  # (time, step) that not every topic has reached
         self._newest_ns = 0
-        recorded = {name: topic for name, topic in topics.items() if topic.recorded}
-        self._channels = {
-            name: self._writer.add_topic(
-                self.resolve_topic_name(name),
-                topic.type,
-                topic.definition,
-                topic.type_hash,
-                topic.offered_qos,
-            )
-            for name, topic in recorded.items()
-        }
+        everything = {name: topic for name, topic in topics.items() if topic.recorded}
+        recorded = {name: topic for name, topic in everything.items() if not topic.optional}
+        self._channels = {}
+        for topic in recorded.values():
+            self._add_channel(topic)
         heard = dict(recorded)
         if options["in_bulk"]:
             heard = {name: t for name, t in recorded.items() if name not in STATE_TOPICS}
@@ -94,11 +91,14 @@ class LoggerNode(TssNode):
         self._simulators = Simulators(self, self.get_logger())
         self._watch = Watch(self._topics, self.get_logger())
         reports = topics["simulation_status"]
+        optional = [topic for topic in everything.values() if topic.optional]
+        self._optional = OptionalTopics(self, optional, self._on_found)
         self._reports = RecordedTopic(self, reports, self._on_reports, self._on_malformed)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._note_lost()
         self.every(FLUSH_PERIOD_S, self._flush)
         self.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        self.every(FIND_PERIOD_S, self._optional.look)
         self._stopping = threading.Event()
         # Not a timer of the executor: a recorder that waits for its disk must be heard, too.
         self._reporter = threading.Thread(target=self._report_regularly, daemon=True)
@@ -137,6 +137,19 @@ class LoggerNode(TssNode):
     @property
     def _lost(self):
         return sum(topic.lost for topic in self._topics)
+
+    def _add_channel(self, topic):
+        self._channels[topic.name] = self._writer.add_topic(
+            self.resolve_topic_name(topic.name),
+            topic.type,
+            topic.definition,
+            topic.type_hash,
+            topic.offered_qos,
+        )
+
+    def _on_found(self, topic):
+        self._topics.append(RecordedTopic(self, topic, self._on_messages, self._on_malformed))
+        self.get_logger().info(f"recording {topic.name}, too")
 
     def _flush(self):
         self._order.release()
@@ -211,6 +224,8 @@ class LoggerNode(TssNode):
             self._record_block(block, taken)
             return
         number = (taken.number or 0) % 2**32
+        if topic.name not in self._channels:
+            self._add_channel(topic.topic)
         channel = self._channels[topic.name]
         self._writer.write(channel, data, self._newest_ns, taken.sent_ns, number)
         if self._live:
@@ -268,7 +283,7 @@ class LoggerNode(TssNode):
             and all(
                 topic.subscription.get_publisher_count()
                 for topic in self._topics
-                if topic.of_simulator
+                if topic.of_simulator and not topic.topic.optional
             ),
             last_step=self._reported_step,
             messages=self._writer.message_count,

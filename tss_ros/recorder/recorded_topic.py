@@ -73,7 +73,9 @@ class RecordedTopic(Waitable):
         super().__init__(node.default_callback_group)
         self.topic, self.name = topic, topic.name
         self.of_simulator = topic.publisher == "sim_node"
-        self.every_step = self.of_simulator and topic.durability == "volatile"
+        self.every_step = (
+            self.of_simulator and topic.durability == "volatile" and not topic.optional
+        )
         self.lost = self.malformed = self.heard = 0
         self.newest = self.newest_ns = None
         self._form, self._stamp_offset = Form(topic.type), topic.stamp_offset

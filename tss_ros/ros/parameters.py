@@ -144,6 +144,31 @@ SIMULATOR = scenario_parameters.distinct((
         minimum=0.0, maximum=1e6, default=0.0, applies="at once", note="0: no limit",
     ),
     Parameter(
+        "sensor_period_s", float,
+        "Simulated time between measurements; each is of the first step at or after its time", "s",
+        minimum=0.0, maximum=1e9, default=0.0, applies="reset", note="0: there are no sensors",
+    ),
+    Parameter(
+        "sensor_seed", int, "Seed of the sensors' noise and constant errors",
+        minimum=0, maximum=2**31 - 1, default=0, applies="reset",
+    ),
+    *(
+        Parameter(
+            f"{quantity}_{kind}_{unit}", float, f"Standard deviation of {meaning} of the {what}",
+            symbol, minimum=0.0, maximum=1e9, default=0.0, applies="reset",
+        )
+        for quantity, unit, symbol, what in (
+            ("position", "m", "m", "measured relative position, in each axis"),
+            ("velocity", "m_s", "m/s", "measured relative velocity, in each axis"),
+            ("range", "m", "m", "measured range along a tether"),
+            ("tension", "n", "N", "measured tension"),
+        )
+        for kind, meaning in (
+            ("noise", "the noise"),
+            ("bias", "the constant error"),
+        )
+    ),
+    Parameter(
         "frame_prefix", str,
         "Put before the name of every frame, to tell several simulators apart", default="",
     ),

@@ -21,6 +21,8 @@ starts from their positions and velocities instead of a steady state that is loo
 
 Instead of its elements the orbit may be given by `two_line_elements`, a list of two lines, or by
 `orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
+
+What is to fail during a simulation is listed by `failures`; see `tss_ros.scenarios.failures`.
 """
 
 import warnings
@@ -31,16 +33,26 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core import FORMATIONS, Satellite, System, Tether, TssError, assemble, formation
+from tss_ros.core import (
+    FORMATIONS,
+    Failure,
+    Satellite,
+    System,
+    Tether,
+    TssError,
+    assemble,
+    formation,
+)
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.configurations import InitialState
 from tss_ros.core.model.system import finite
 from tss_ros.scenarios import files, orbits
 from tss_ros.scenarios.doubts import ImplausibleValue, doubts
+from tss_ros.scenarios.failures import read_failures
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
 
 _FOLDER = Path(__file__).parent
-_ABOUT = ("description", "formation")
+_ABOUT = ("description", "formation", "failures")
 _PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
 _BODY = {"name", "mass_kg", "position_m"}
 _BODY_OPTIONAL = {"velocity_m_s"}
@@ -61,12 +73,15 @@ class Scenario:
         One of `tss_ros.core.FORMATIONS`, or "graph" where bodies and tethers are spelled out.
     parameters : dict
         Values by parameter name, scalars or lists, `spin_rate_ratio` among them.
+    failures : tuple of Failure
+        What is to fail during a simulation.
     """
 
     name: str
     description: str
     formation: str
     parameters: dict
+    failures: tuple[Failure, ...] = ()
     _bodies: tuple = field(default=(), repr=False)
     _tethers: tuple = field(default=(), repr=False)
     _velocities: tuple = field(default=(), repr=False)
@@ -206,6 +221,11 @@ def load(name_or_path: str | Path) -> Scenario:
     try:
         scenario = _parse(text, content)
         system = scenario.build()
+        for i, failure in enumerate(scenario.failures):
+            try:
+                failure.check(system)
+            except TssError as error:
+                raise TssError(f"failures[{i}]: {error}") from None
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     for words in doubts(system, scenario._bodies, scenario._tethers, scenario._velocities):
@@ -220,7 +240,7 @@ def _parse(name, content):
     known = (
         (*_ABOUT, *_PARAMETERS)
         if not graph
-        else ("description", "bodies", "tethers", *_GRAPH_PARAMETERS)
+        else ("description", "failures", "bodies", "tethers", *_GRAPH_PARAMETERS)
     ) + orbits.KEYS
     for key in content:
         if key not in known:
@@ -233,12 +253,13 @@ def _parse(name, content):
     parameters |= orbits.given(content)
     if moment := orbits.read_epoch(parameters.get("epoch", "")):
         parameters["epoch"] = orbits.epoch_text(moment)
+    failures = read_failures(content.get("failures", []))
     description = " ".join(str(content.get("description", "")).split())
     if not graph:
         shape = content.get("formation", "ring")
         if shape not in FORMATIONS:
             raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
-        return Scenario(name, description, shape, parameters)
+        return Scenario(name, description, shape, parameters, failures)
     entries = _entries(content, "bodies")
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]
     velocities = _velocities(entries)
@@ -247,9 +268,8 @@ def _parse(name, content):
     entries = _entries(content, "tethers")
     tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
     _check_names("tethers", [tether.name for tether in tethers])
-    return Scenario(
-        name, description, "graph", parameters, tuple(bodies), tuple(tethers), velocities
-    )
+    about = name, description, "graph", parameters, failures
+    return Scenario(*about, tuple(bodies), tuple(tethers), velocities)
 
 
 def _entries(content, key):

@@ -15,6 +15,7 @@ from tss_ros.core.model.commands import FRAMES
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator.commands import Command
+from tss_ros.simulator.failures import news
 from tss_ros.simulator.odometry import is_topic_name, satellites
 from tss_ros.simulator.simulation import Simulation
 
@@ -90,7 +91,8 @@ class CommandTopics:
     ) -> None:
         self._node, self._topic, self._publisher = node, topic, publisher
         self._simulation, self._options = simulation, options
-        self._subscriptions, self._said, self._cut = {}, {}, ()
+        self._subscriptions, self._said = {}, {}
+        self._before, self._run = None, 0
 
     def begin(self, system: System) -> None:
         """Listen for a run's satellites; in the executor's thread, or before it spins."""
@@ -115,24 +117,19 @@ class CommandTopics:
                 while taken := subscription.handle.take_message(WrenchStamped, False):
                     self._on_wrench(name, taken[0])
 
-    def publish(self, system: System, step: int, run: int, frame_id: str) -> list[str]:
+    def publish(self, system: System, step: int, run: int, frame_id: str) -> list[tuple[str, str]]:
         """Publish what has come to act since the step before; in the simulation's thread.
 
         Returns
         -------
-        list of str
-            Of tethers that were cut, in words.
+        list of (str, str)
+            Kinds and texts of events: tethers that were cut, actuators that failed.
         """
         events = []
-        for time_ns, commands in self._simulation.take_changes():
-            self._publisher.publish(
-                applied_wrenches(system, commands, time_ns, step, run, frame_id)
-            )
-            cut = {system.tether_name[k] for k in np.flatnonzero(commands.cut)}
-            events += [
-                f"{name}: cut at {time_ns / 1e9:.9f} s" for name in sorted(cut - {*self._cut})
-            ]
-            self._cut = cut
+        for change in self._simulation.take_changes():
+            self._publisher.publish(applied_wrenches(system, change, step, run, frame_id))
+            events += news(system, self._before, change, run != self._run)
+            self._before, self._run = change, run
         return events
 
     def _on_wrench(self, name, message):

@@ -1,4 +1,4 @@
-"""Commands to thrusters and failures of tethers over simulated time, as they are given."""
+"""Commands to actuators, and failures, over simulated time, as they are given."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from tss_ros.core import Commands, System, TssError
 from tss_ros.core.model.commands import FRAMES
+from tss_ros.core.model.failures import Change, Happened
+from tss_ros.simulator.failures import FailureTable
 
 #: Most commands that are kept besides those that hold.
 MOST_KEPT = 1000
@@ -63,9 +65,10 @@ class CommandTable:
         self._system = system
         self._commands = {}  # by key
         self._waiting, self._lock = {}, threading.Lock()
+        self._failures = FailureTable(system)
 
     def __bool__(self) -> bool:
-        return bool(self._commands)
+        return bool(self._commands or self._failures)
 
     def post(self, command: Command) -> bool:
         """Leave a command to be collected; false if too many are kept already."""
@@ -89,6 +92,7 @@ class CommandTable:
             return False
         with self._lock:
             waiting, self._waiting = self._waiting, {}
+        self.settle(now_ns)
         for command in waiting.values():
             command = command._replace(time_ns=max(command.time_ns, now_ns))
             self._commands[command.key] = command
@@ -98,29 +102,53 @@ class CommandTable:
         self._commands = {c.key: c for c in kept}
         return True
 
+    def fail(self, failure: Happened, now_ns: int) -> None:
+        """Let an actuator fail, or repair it, at a simulation time [ns]; a past one is now.
+
+        Raises
+        ------
+        TssError
+            If too many failures are kept already.
+        """
+        self._failures.add(failure._replace(time=max(failure.time, now_ns)))
+        self.settle(now_ns)
+
+    def settle(self, now_ns: int) -> None:
+        """Note what stuck thrusters give by now, before anything is changed."""
+        self._failures.settle(now_ns, self._edges())
+
+    def change(self, time_ns: int) -> Change:
+        """What acts from a simulation time [ns] on, and what has failed by then."""
+        newest = Change(time_ns, Commands.none(self._system))
+        for change in self._failures.act_on(self._edges()):
+            if change.time > time_ns:
+                break
+            newest = change._replace(time=time_ns)
+        return newest
+
     def at(self, time_ns: int) -> Commands:
         """What acts from a simulation time [ns] on."""
-        acting = Commands.none(self._system)
-        for edge_ns, commands in self._edges():
-            if edge_ns > time_ns:
-                break
-            acting = commands
-        return acting
+        return self.change(time_ns).commands
 
     def edges(self, now_ns: int) -> list[tuple[int, Commands]]:
         """When [ns] something changes from a time on, and what acts from then on."""
-        return [(edge_ns, commands) for edge_ns, commands in self._edges() if edge_ns >= now_ns]
+        changes = self._failures.act_on(self._edges())
+        return [change[:2] for change in changes if change.time >= now_ns]
 
     def shift(self, by_ns: int) -> None:
         """Move all in time, as the clock is set anew."""
         moved = [c._replace(time_ns=c.time_ns + by_ns) for c in self._commands.values()]
         self._commands = {c.key: c for c in moved}
+        self._failures.shift(by_ns)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that it keeps, for a snapshot: times, places and frames, (k, 3); forces (k, 3)."""
+        """All that it keeps, for a snapshot: times, places and frames, (k, 3); forces (k, 3).
+
+        Those of failures are `FailureTable.arrays`.
+        """
         commands = self._commands.values()
-        return {
+        return self._failures.arrays | {
             "when_and_where": np.array([c[:3] for c in commands], dtype=np.int64).reshape(-1, 3),
             "force_n": np.array([c.force_n for c in commands], dtype=float).reshape(-1, 3),
         }
@@ -134,9 +162,10 @@ class CommandTable:
         rows = zip(arrays["when_and_where"].tolist(), arrays["force_n"].tolist())
         commands = [Command(*whole, tuple(force)) for whole, force in rows]
         self._waiting, self._commands = {}, {c.key: c for c in commands}
+        self._failures.arrays = arrays
 
     def _edges(self) -> Iterator[tuple[int, Commands]]:
-        """All instants [ns] at which something is commanded or ends, and what acts from then on."""
+        """All instants [ns] at which something is commanded or ends, and what is from then on."""
         events = [(c.time_ns, 1, c) for c in self._commands.values()]
         if self.timeout_ns:
             forces = [c for c in self._commands.values() if c.frame != CUT]

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from tss_ros.core import System, TssError
 from tss_ros.ros.messages import stamp
 from tss_ros.ros.topics import Topic, create_publisher
+from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample
 
 #: What odometry may be relative to besides a satellite, and the name of its frame.
@@ -33,10 +34,21 @@ def check(reference: str, system: System) -> None:
             f"odometry is {reference!r:.80}; allowed: '', {CENTRE_OF_MASS!r} or a satellite of "
             f"{', '.join(names):.200}"
         )
-    for name in names:
+    check_names("odometry", system)
+
+
+def check_names(what: str, system: System) -> None:
+    """Check that topics may have the names of all satellites, as `what` needs.
+
+    Raises
+    ------
+    TssError
+        If one is no name of a topic.
+    """
+    for name in satellites(system):
         if not is_topic_name(name):
             raise TssError(
-                f"odometry needs names that topics may have; {name!r:.80} is none: letters, "
+                f"{what} needs names that topics may have; {name!r:.80} is none: letters, "
                 "digits and _ only, no digit first"
             )
 
@@ -72,8 +84,9 @@ class OdometryPublishers:
         self._node, self._topic, self._prefix = node, topic, frame_prefix
         self._publishers, self._messages = {}, {}
 
-    def begin(self, system: System, reference: str) -> None:
+    def begin(self, setup: Setup) -> None:
         """Publish what a run's parameter `odometry` asks for."""
+        system, reference = setup.system, setup.options["odometry"]
         self._system, self._reference = system, reference
         names = [name for name in satellites(system) if reference and name != reference]
         topics = {self._topic.name.format(satellite=name): name for name in names}
@@ -89,9 +102,15 @@ class OdometryPublishers:
         """How many listen to each topic, by its name."""
         return {name: p.get_subscription_count() for name, p in self._publishers.items()}
 
-    def publish(self, sample: Sample, name: str | None = None) -> None:
-        """Publish a state for those who listen, or on the topic of this name only."""
-        wanted = [name] if name else [n for n, count in self.listeners().items() if count]
+    def publish(self, sample: Sample) -> None:
+        """Publish a state for those who listen."""
+        self._publish(sample, [name for name, count in self.listeners().items() if count])
+
+    def publish_again(self, sample: Sample, name: str) -> None:
+        """Publish a state on the topic of this name, if it is one of these."""
+        self._publish(sample, [name] if name in self._publishers else [])
+
+    def _publish(self, sample, wanted):
         if not wanted:
             return
         r0, v0 = map(self._of_reference, (sample.position_m, sample.velocity_m_s))

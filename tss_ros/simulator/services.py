@@ -17,9 +17,17 @@ from simulation_interfaces.srv import (
     StepSimulation,
 )
 from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
-from tss_interfaces.srv import CutTether, Disturb, GetStates, RestoreSnapshot, SaveSnapshot
+from tss_interfaces.srv import (
+    CutTether,
+    Disturb,
+    FailActuator,
+    GetStates,
+    RestoreSnapshot,
+    SaveSnapshot,
+)
 
 from tss_ros.core import State, TssError, disturbed
+from tss_ros.core.model.failures import MODES, Happened, thruster
 from tss_ros.ros import messages
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
@@ -97,6 +105,7 @@ class SimulationServices:
             (ResetSimulation, "reset_simulation", self._reset),
             (Disturb, "disturb", self._disturb),
             (CutTether, "cut_tether", self._cut),
+            (FailActuator, "fail_actuator", self._fail),
             (SaveSnapshot, "save_snapshot", self._save),
             (RestoreSnapshot, "restore_snapshot", self._restore),
         ):
@@ -113,8 +122,9 @@ class SimulationServices:
         response.features.features = FEATURES
         response.features.custom_info = (
             f"tss_ros {version('tss_ros')}; entities are satellites and tether beads, points of "
-            f"the orbit frame; {name}/disturb, {name}/cut_tether, {name}/save_snapshot, "
-            f"{name}/restore_snapshot and {name}/get_states are of tss_interfaces"
+            f"the orbit frame; {name}/disturb, {name}/cut_tether, {name}/fail_actuator, "
+            f"{name}/save_snapshot, {name}/restore_snapshot and {name}/get_states are of "
+            "tss_interfaces"
         )
         self._on_answer()
         return response
@@ -150,6 +160,9 @@ class SimulationServices:
 
     async def _cut(self, request, response):
         return await self.ask(response, self._do_cut, request)
+
+    async def _fail(self, request, response):
+        return await self.ask(response, self._do_fail, request)
 
     async def _save(self, request, response):
         return await self.ask(response, self._do_save, request.file)
@@ -255,6 +268,18 @@ class SimulationServices:
         time_ns = read_time(request.stamp, simulation.newest.time_ns)
         if not simulation.commands.post(Command(time_ns, names.index(request.tether), CUT)):
             raise TssError("too many commands of the future are kept; it is not")
+        answer.set_result(None)
+
+    def _do_fail(self, answer, request):
+        simulation = self._control.simulation
+        try:
+            place = thruster(simulation.setup.system, request.actuator)
+        except TssError as error:
+            raise Refused(Code.NOT_FOUND, f"actuator: {error}") from None
+        if request.mode not in MODES:
+            raise TssError(f"mode is {request.mode!r:.80}; allowed: {', '.join(MODES)}")
+        time_ns = read_time(request.stamp, simulation.newest.time_ns)
+        simulation.fail(Happened(time_ns, place, request.mode))
         answer.set_result(None)
 
     def _bead_disturbance(self, request):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core import State, System, disturbed, initial_state, tether_state
+from tss_ros.core import Failure, State, System, disturbed, initial_state, tether_state
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.presentation import turn_in_words
 
@@ -27,6 +27,8 @@ class Setup:
         Distances [m] from the centre before the disturbance, the zero of Eq. (53).
     tension_n : ndarray, shape (m,)
         Tensions [N] before the disturbance.
+    failures : tuple of Failure
+        What is to fail.
     """
 
     options: dict
@@ -35,6 +37,7 @@ class Setup:
     start: State
     reference_radius_m: np.ndarray
     tension_n: np.ndarray
+    failures: tuple[Failure, ...] = ()
 
     @classmethod
     def of(
@@ -43,6 +46,7 @@ class Setup:
         system: System,
         spin_rate_ratio: float,
         start: State | None = None,
+        failures: tuple[Failure, ...] = (),
     ) -> "Setup":
         """Find the initial configuration, Eqs. (50)-(54), unless one is given, and disturb it.
 
@@ -53,6 +57,7 @@ class Setup:
         system : System
         spin_rate_ratio : float
         start : State, optional
+        failures : tuple of Failure
 
         Returns
         -------
@@ -61,8 +66,10 @@ class Setup:
         Raises
         ------
         TssError
-            If there is none for this system and rate.
+            If there is none for this system and rate, or if a failure does not fit the system.
         """
+        for failure in failures:
+            failure.check(system)
         steady = start or initial_state(system, spin_rate_ratio)
         return cls(
             options=options,
@@ -71,6 +78,7 @@ class Setup:
             start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
             reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
             tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
+            failures=failures,
         )
 
     @property
@@ -102,4 +110,5 @@ class Setup:
         values = {name: np.array(value) for name, value in values.items()}
         values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
         values["publish_period_s"] = np.array(self.publish_period_s)
+        values["failures"] = np.array([str(failure) for failure in self.failures], dtype=str)
         return values

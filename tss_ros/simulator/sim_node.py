@@ -10,7 +10,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
-from tss_interfaces.msg import BeadStates, SimulationEvent, TetherStates
+from tss_interfaces.msg import BeadStates, TetherStates
 
 from tss_ros.core import TssError
 from tss_ros.messages import blocks
@@ -22,11 +22,13 @@ from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
+from tss_ros.scenarios import scenario
 from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
+from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
@@ -45,10 +47,8 @@ RECORDER_SILENT_S = 3.0
 #: How long [s] a finished simulator waits for those who listen on each topic.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
-
-
-#: The topics of odometry and of commands, one for each satellite.
-ODOMETRY, COMMANDS = "{satellite}/odom", "~/{satellite}/cmd_wrench"
+#: The topics of commands, one for each satellite.
+COMMANDS = "~/{satellite}/cmd_wrench"
 
 
 class SimNode(TssNode):
@@ -62,18 +62,16 @@ class SimNode(TssNode):
         setup = self._make_setup()
         self._frame_id = self._options["frame_prefix"] + FRAME_ID
         topics = read_topics()
-        optional = {"/clock": "publish_clock", "/tf": "publish_tf"}
+        asked = {"/clock": "publish_clock", "/tf": "publish_tf"}
         self._publisher = {
             name: create_publisher(self, topic)
             for name, topic in topics.items()
             if topic.publisher == "sim_node"
-            and name != ODOMETRY
-            and self._options.get(optional.get(name), True)
+            and not topic.optional
+            and self._options.get(asked.get(name), True)
         }
         self._steps = StepPublisher(self._publisher, self._frame_id)
-        self._odometry = odometry.OdometryPublishers(
-            self, topics[ODOMETRY], self._options["frame_prefix"]
-        )
+        self._for_listeners = ForListeners(self, topics, self._options["frame_prefix"])
         self._recorded = [name for name in self._publisher if topics[name].recorded]
         depth = min(
             self._publisher[name].qos_profile.depth
@@ -146,12 +144,12 @@ class SimNode(TssNode):
         """Check before anything is set, so that what is refused is refused with our reason."""
         try:
             options = parameters.check_changes(parameters.SIMULATOR, self._options, parameter_list)
-            scenario = options["scenario"]
+            name = options["scenario"]
             # Other names than those of shipped scenarios and YAML files are refused unread.
-            if scenario != self._options["scenario"] and scenario.endswith((".yaml", ".yml")):
-                inside(options["service_folder"], scenario, "scenario")
+            if name != self._options["scenario"] and name.endswith((".yaml", ".yml")):
+                inside(options["service_folder"], name, "scenario")
             system, *_ = systems.build_system(*systems.split_options(options))
-            odometry.check(options["odometry"], system)
+            check(options, system)
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -170,8 +168,8 @@ class SimNode(TssNode):
 
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
-        odometry.check(self._options["odometry"], built[0])
-        return Setup.of(self._options, *built)
+        check(self._options, built[0])
+        return Setup.of(self._options, *built, scenario.load(self._options["scenario"]).failures)
 
     # --- in the simulation's thread
 
@@ -179,6 +177,7 @@ class SimNode(TssNode):
         try:
             self._control.run_until_end()
             self._steps.flush()
+            self._for_listeners.wait_for_recorder(LISTENER_FINISH_S)
             for name in ("tether_states", "bead_states"):
                 self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
         except Exception as error:
@@ -194,8 +193,10 @@ class SimNode(TssNode):
         self.get_logger().info("waiting for a recorder", once=True)
         in_bulk = self._publisher[blocks.TOPIC].get_subscription_count()
         names = [name for name in self._recorded if not (in_bulk and name in STATE_TOPICS)]
-        return any(recorder.matched for recorder in self._flow.recorders.values()) and all(
-            self._publisher[name].get_subscription_count() for name in names
+        return (
+            any(recorder.matched for recorder in self._flow.recorders.values())
+            and all(self._publisher[name].get_subscription_count() for name in names)
+            and self._for_listeners.recorder_listens
         )
 
     def _on_event(self, kind, text):
@@ -209,7 +210,7 @@ class SimNode(TssNode):
         setup = self._control.simulation.setup
         self._run = self._control.run
         self._steps.begin(setup)
-        self._odometry.begin(setup.system, setup.options["odometry"])
+        self._for_listeners.begin(setup)
         self._publisher["system_description"].publish(
             system_description(
                 setup.system,
@@ -236,12 +237,11 @@ class SimNode(TssNode):
         if new_run:
             self._describe(step, sample.time_ns)
             self.executor.create_task(self._commands.begin, system)
-        cut = self._commands.publish(system, step, self._control.run, self._frame_id)
-        self._events += [(SimulationEvent.KIND_CUT, text) for text in cut]
+        self._events += self._commands.publish(system, step, self._control.run, self._frame_id)
         self._publish_events(step)
         self._shown = step, sample
         self._steps.publish(step, sample, new_run)
-        self._odometry.publish(sample)
+        self._for_listeners.publish(sample)
         if "/tf" in self._publisher and time.monotonic() >= self._tf_due:
             self._publish_frames()
         self._keep_clock()
@@ -287,7 +287,7 @@ class SimNode(TssNode):
         names = (*STATE_TOPICS, blocks.TOPIC, "/tf")
         names = [name for name in names if name in self._publisher]
         listeners = {name: self._publisher[name].get_subscription_count() for name in names}
-        listeners |= self._odometry.listeners()
+        listeners |= self._for_listeners.listeners()
         step, before = self._shown[0], self._listeners
         self._listeners = {"step": step, **listeners}
         if self._control.moving or before.get("step") != step:
@@ -298,7 +298,7 @@ class SimNode(TssNode):
             elif name in self._publisher:
                 self._steps.publish_topic(name)
             else:
-                self._odometry.publish(self._shown[1], name)
+                self._for_listeners.publish_again(self._shown[1], name)
 
     def _newest_states(self):
         """BeadStates and TetherStates of the newest state, as messages of their own."""

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tss_ros.core import Commands, State, TssError
+from tss_ros.core.model.failures import CUT, Change, FailureWatch, Happened
 from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
-from tss_ros.simulator.commands import CommandTable
+from tss_ros.simulator.commands import CUT as CUT_FRAME
+from tss_ros.simulator.commands import Command, CommandTable
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.trajectory import CHUNK_STEPS, Trajectory, edge_s
 
@@ -78,7 +80,7 @@ class Simulation:
     def __init__(self, setup: Setup, turns: float, on_ready: Callable[[], None]) -> None:
         self._turns, self._on_ready = turns, on_ready
         self._trajectory, self._timeout_ns = None, 0
-        self._changes, self._told = [], Commands.none(setup.system)
+        self._changes, self._told = [], Change(0, Commands.none(setup.system))
         self._begin_anew(setup, 0)
 
     @property
@@ -130,19 +132,20 @@ class Simulation:
         self._collect()
         if self._changed:
             self._changed = False
-            self._tell(self.newest.time_ns, self.acting, anew=True)
+            self._tell(self._commands.change(self.newest.time_ns), anew=True)
             return self.newest
         begun_ns = self.newest.time_ns
         state = self._trajectory.take()
         self.newest = Sample(self._time_ns(self._trajectory.index), *state)
         if self._commands:
-            for time_ns, acting in self._edges(begun_ns):
+            for time_ns, _ in self._edges(begun_ns):
                 if time_ns < self.newest.time_ns:
-                    self._tell(time_ns, acting)
+                    self._tell(self._commands.change(time_ns))
+        self._look()
         return self.newest
 
-    def take_changes(self) -> list[tuple[int, Commands]]:
-        """When [ns] what acts from outside has changed since the last call, and what acts since."""
+    def take_changes(self) -> list[Change]:
+        """What has changed from outside since the last call: when [ns], and what acts since."""
         changes, self._changes = self._changes, []
         return changes
 
@@ -153,8 +156,23 @@ class Simulation:
         """
         self._timeout_ns = round(timeout_s * 1e9)
         if self._commands.timeout_ns != self._timeout_ns:
+            self._commands.settle(self.newest.time_ns)
             self._commands.timeout_ns = self._timeout_ns
             self._plan()
+
+    def fail(self, failure: Happened) -> None:
+        """Let an actuator fail, or repair it; its time is a simulation time [ns].
+
+        Commands that were posted before count before it.
+
+        Raises
+        ------
+        TssError
+            If too many failures are kept already.
+        """
+        self._collect()
+        self._commands.fail(failure, self.newest.time_ns)
+        self._plan()
 
     def reset(self, setup: Setup | None = None, time: bool = True) -> None:
         """Begin the motion anew, if `setup` says how, and time at 0, if `time` is true."""
@@ -192,10 +210,12 @@ class Simulation:
             If there is such a file already, or if it cannot be made.
         """
         self._collect()
+        self._commands.settle(self.newest.time_ns)
         place = {"index": self._trajectory.index, "base_ns": self._base_ns}
         place["since_ns"] = self._trajectory.since_ns
         checkpoint = self._trajectory.checkpoint_here()
-        snapshot.write(file, self.setup.identity, place, checkpoint, self._commands.arrays)
+        kept = self._commands.arrays | {"due": self._watch.due}
+        snapshot.write(file, self.setup.identity, place, checkpoint, kept)
 
     def restore(self, file: str) -> None:
         """Continue from a snapshot, time included.
@@ -211,8 +231,10 @@ class Simulation:
             file, self.setup.identity, self._trajectory.checkpoint(), CHUNK_STEPS
         )
         commands = self._new_table(self.setup)
+        watch = FailureWatch(self.setup.system, self.setup.failures)
         try:
             commands.arrays = kept
+            watch.resume(kept["due"])
         except TssError as error:
             raise TssError(f"snapshot {file!r:.200} is damaged: {error}") from None
         time_ns = place["base_ns"] + place["index"] * self.setup.publish_period_s * 1e9
@@ -226,6 +248,7 @@ class Simulation:
         except TssError as error:
             trajectory.close()
             raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
+        self._watch = watch
         self._continue(trajectory, commands, place["base_ns"], state)
 
     def close(self) -> None:
@@ -233,8 +256,13 @@ class Simulation:
         self._trajectory.close()
 
     def _begin_anew(self, setup, base_ns):
-        """Begin with what a setup says, and without commands."""
-        self._begin(setup, setup.start, self._new_table(setup), base_ns)
+        """Begin with what a setup says, and without commands but the failures of known times."""
+        table, self._watch = self._new_table(setup), FailureWatch(setup.system, setup.failures)
+        for failure in self._watch.timed():
+            _note(table, failure._replace(time=base_ns + round(failure.time * 1e9)), base_ns)
+        table.collect(base_ns)
+        self._begin(setup, setup.start, table, base_ns)
+        self._look()
 
     def _new_table(self, setup):
         commands = CommandTable(setup.system)
@@ -274,6 +302,19 @@ class Simulation:
         if self._commands.collect(self.newest.time_ns):
             self._plan()
 
+    def _look(self):
+        """Let fail what the newest state is the event for."""
+        if not self._watch.due.any():
+            return
+        newest = self.newest.alone
+        _, failures = self._watch.look(newest.tension_n, newest.taut)
+        for failure in failures:
+            place, now_ns = failure.place(self.setup.system), self.newest.time_ns
+            _note(self._commands, Happened(now_ns, place, failure.kind), now_ns)
+        if failures:
+            self._commands.collect(self.newest.time_ns)
+            self._plan()
+
     def _edges(self, from_ns):
         """What acts from a time [ns] on, and all changes to come."""
         return [(from_ns, self._commands.at(from_ns)), *self._commands.edges(from_ns + 1)]
@@ -284,11 +325,12 @@ class Simulation:
             base_ns = self._base_ns
             self._trajectory.plan([(edge_s(self.setup, t - base_ns), c) for t, c in edges])
 
-    def _tell(self, time_ns, acting, anew=False):
+    def _tell(self, change, anew=False):
         """Keep for `take_changes` what acts, if that is news."""
-        if acting != self._told or (anew and acting.acts(self.setup.system)):
-            self._changes.append((time_ns, acting))
-            self._told = acting
+        acts = change.failed or change.commands.acts(self.setup.system)
+        if change[1:] != self._told[1:] or (anew and acts):
+            self._changes.append(change)
+            self._told = change
 
     def _limit(self):
         end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)
@@ -297,3 +339,11 @@ class Simulation:
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)
+
+
+def _note(table, failure, now_ns):
+    """Keep a failure in a table; a tether that is cut there is a command."""
+    if failure.kind != CUT:
+        table.fail(failure, now_ns)
+    elif not table.post(Command(failure.time, failure.place, CUT_FRAME)):
+        raise TssError("too many commands are kept; a tether cannot be cut")

@@ -16,19 +16,24 @@ from tss_ros.bags.wrenches import read_commands
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
-from tss_ros.messages.steps import StepMessages, system_description
+from tss_ros.core.model.failures import Change, FailureWatch, Happened, news_alone, with_failures
+from tss_ros.messages.cdr import serialised
+from tss_ros.messages.steps import FRAME_ID, States, StepMessages, header, system_description
 from tss_ros.messages.topics import STATE_TOPICS, read_topics
 from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
+from tss_ros.simulator.failures import news
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
 from tss_ros.simulator.trajectory import compute_states, edge_s
 
 #: Most states integrated and written in one go, and most of them times beads.
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
+#: The topic of events.
+EVENTS = "simulation_events"
 #: A file of the bag this large [B] is completed and the next one begun.
 SPLIT_BYTES = 1e9
 
@@ -39,7 +44,7 @@ def simulate(
     output: str | Path,
     on_progress: Callable[[float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
-    commands: Sequence[tuple[int, Commands]] = (),
+    commands: Sequence[tuple[int, Commands] | Change] | None = None,
 ) -> BagWriter:
     """Simulate and write the bag that `logger_node` would have recorded of `sim_node`.
 
@@ -57,9 +62,10 @@ def simulate(
         Called with the share done.
     cancelled : callable, optional
         Asked again and again whether to end.
-    commands : sequence of (int, Commands)
+    commands : sequence of (int, Commands) or Change, optional
         Simulation times [ns] at which what acts from outside changes, and what acts from then on,
-        as `bags.wrenches.read_commands` gives them.
+        as `bags.wrenches.read_commands` gives them: failures are among it, so that those of the
+        setup are not looked for. If it is not given, they are.
 
     Returns
     -------
@@ -89,7 +95,7 @@ def simulate(
 
 
 def _write(setup, last, writer, on_progress, cancelled, commands):
-    topics = {name: topic for name, topic in read_topics().items() if topic.recorded}
+    topics = {n: t for n, t in read_topics().items() if t.recorded and not t.optional}
     channels = {
         name: writer.add_topic(f"/{name}", t.type, t.definition, t.type_hash, t.offered_qos)
         for name, t in topics.items()
@@ -102,9 +108,9 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
     propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
-    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting in commands])
-    told = 0
-    most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
+    story = _Story(setup, commands)
+    propagator.command(story.plan)
+    longest = most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:
         if cancelled and cancelled():
@@ -119,18 +125,93 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             resume(propagator, before)
             most = 1  # what there is before the end goes into the bag state by state
             continue
-        while told < len(commands) and commands[told][0] < states.time_ns[-1]:
-            edge_ns, acting = commands[told]
-            step = first + int(np.searchsorted(states.time_ns, edge_ns, side="right"))
-            message = applied_wrenches(setup.system, acting, edge_ns, step)
-            told += 1
-            writer.write(channels[APPLIED], message, edge_ns, time.time_ns(), told)
+        if kept := story.fail(states):
+            # What comes behind the first state that shows the event is computed anew.
+            states = States(*(column[:kept] for column in states))
+            resume(propagator, before)
+            propagator.command(story.plan)
+            compute_states(setup, propagator, first, kept, cancelled)
+            most = longest
+        for topic, time_ns, message, number in story.told(first, states):
+            writer.write(channels[topic], message, time_ns, time.time_ns(), number)
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
         writer.write_columns(columns, states.time_ns, time.time_ns(), first + 1)
         writer.flush()
         first += len(states.time_ns)
         if on_progress:
             on_progress(first / (last + 1))
+
+
+class _Story:
+    """What acts from outside over a run: what is told to the integrator, and to those who read.
+
+    Parameters
+    ----------
+    setup : Setup
+    commands : sequence of (int, Commands) or Change, optional
+        What acts; the setup's failures if it is not given.
+    """
+
+    def __init__(self, setup, commands):
+        self._setup, self._given = setup, [Change(*change) for change in commands or ()]
+        declared = setup.failures if commands is None else ()
+        self._watch = FailureWatch(setup.system, declared)
+        self._happened = [h._replace(time=round(h.time * 1e9)) for h in self._watch.timed()]
+        self._before, self._numbers, self._told = None, dict.fromkeys((APPLIED, EVENTS), 0), 0
+
+    @property
+    def _changes(self):
+        if not self._happened:
+            return self._given
+        return list(with_failures(self._setup.system, (), self._happened))
+
+    @property
+    def plan(self):
+        """For the integrator."""
+        return news_alone(
+            self._setup.system, [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        )
+
+    def fail(self, states):
+        """Let fail what these states show the events for; how many of them to keep, 0 for all."""
+        if not self._watch.due.any():
+            return 0
+        row, failures = self._watch.look(states.tension_n, states.taut)
+        for failure in failures:
+            place, time_ns = failure.place(self._setup.system), int(states.time_ns[row])
+            self._happened.append(Happened(time_ns, place, failure.kind))
+        return row + 1 if failures else 0
+
+    def told(self, first, states):
+        """Messages of all that came to act before the last of these states, of number `first` on.
+
+        Topic, simulation time [ns], the message and its number in its topic.
+        """
+        system, changes = self._setup.system, self._changes
+        for change in changes[self._told :]:
+            if not change.time < states.time_ns[-1] and (change.time or first):
+                break
+            self._told += 1
+            # What acts from the beginning on is told with the first state.
+            row = int(np.searchsorted(states.time_ns, change.time, side="right"))
+            row = row if change.time else 0
+            message = applied_wrenches(system, change, first + row)
+            yield APPLIED, change.time, message, self._number(APPLIED)
+            at_ns = int(states.time_ns[row])
+            for kind, text in news(system, self._before, change):
+                said = {
+                    "header": header(at_ns, FRAME_ID),
+                    "step": first + row,
+                    "kind": kind,
+                    "text": text,
+                }
+                message = serialised(read_topics()[EVENTS].definition, said)
+                yield EVENTS, at_ns, message, self._number(EVENTS)
+            self._before = change
+
+    def _number(self, topic):
+        self._numbers[topic] += 1
+        return self._numbers[topic]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -154,7 +235,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         setup = make_setup(options)
-        commands = read_commands(options.commands, setup.system) if options.commands else ()
+        commands = read_commands(options.commands, setup.system) if options.commands else None
         writer = simulate(setup, options.turns, options.output, show, stopped.is_set, commands)
     except Cancelled:
         line.end()
@@ -201,7 +282,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(said, system, ratio, loaded.start(system))
+    return Setup.of(said, system, ratio, loaded.start(system), loaded.failures)
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -230,7 +311,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument(
         "--commands", type=Path, metavar="BAG",
-        help="push satellites and cut tethers as in the first run of this bag",
+        help="let act what acted in the first run of this bag, failures included; those that the"
+        " scenario declares are not looked for",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     for parameter in RUN:

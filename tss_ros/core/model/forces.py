@@ -31,6 +31,7 @@ from tss_ros.core.model.made import (
     tension_and_slope,
     tension_and_slope_of_arrays,
 )
+from tss_ros.core.model.reels import NEVER_M
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
 from tss_ros.core.numerics.simd import inlined, kernel, leaf, python_kernel
@@ -296,10 +297,11 @@ def tether_state(
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)
     if rests is None:
-        taut = length > system.rest_length_m  # Eq. (5)
+        taut, there = length > system.rest_length_m, True  # Eq. (5)
     else:
         rest, unreeling = rests
         out = rest > 0.0
+        there = out & (rest < NEVER_M)
         share = system.rest_length_m / np.where(out, rest, system.rest_length_m)
         arrays = arrays._replace(
             rest=rest, stiffness=share * arrays.stiffness, damping=share * arrays.damping
@@ -308,7 +310,7 @@ def tether_state(
     pull, _ = tension_and_slopes(arrays, length, growth)
     if not system.law.pushes:
         pull = np.maximum(pull, 0.0)
-    return length, np.where(taut | system.bilateral, pull, 0.0), taut
+    return length, np.where(taut | (there & system.bilateral), pull, 0.0), taut
 
 
 def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
