@@ -89,11 +89,11 @@ def _where_it_ends(rows, quarter):
     words = (
         f"The lag is the delay and half the period. With {small:g} N s/m nothing else counts:"
         f" damping ends at lags of {min(lags):.0f} to {max(lags):.0f} s. A quarter of the swing's"
-        f" period is {quarter:.0f} s, and thrust that comes later pushes with the swing. With larger"
-        " gains the swing decays faster at a small lag than at none, but damping ends earlier: at"
-        f" lags of {ends}. For comparison, a damper that is late rings by itself where c times the"
-        " lag over m exceeds π/2, and one that samples overshoots where c times the period over m"
-        " exceeds 2"
+        f" period is {quarter:.0f} s, and thrust that comes later pushes with the swing. With"
+        " larger gains the swing decays faster at a small lag than at none, but damping ends"
+        f" earlier: at lags of {ends}. For comparison, a damper that is late rings by itself where"
+        " c times the lag over m exceeds π/2, and one that samples overshoots where c times the"
+        " period over m exceeds 2"
     )
     return [words + (f", as with {', '.join(never)}." if never else ".")]
 
