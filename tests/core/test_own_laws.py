@@ -237,6 +237,25 @@ def test_a_law_that_is_changed_is_compiled_anew(tmp_path):
     assert third == pytest.approx(6.0 * first, rel=1e-15) and hits == 0
 
 
+HANGING = """
+import json
+from dataclasses import replace
+from tss_ros.core import compute_floquet, formation
+
+chain = formation("chain", satellites=2, damping_n_s_per_m=100.0)
+system = replace(chain, law_parameters={"law_gain": 1e-3})
+print(json.dumps(compute_floquet(system, 0.0).message))
+"""
+
+
+def test_nothing_hangs_where_a_law_thrusts_at_rest(tmp_path):
+    pull = "return tuple(-law_gain * d for d in g.place)"
+    text = ONE_LAW.replace("from law_helper", "# ")
+    (tmp_path / "one_law.py").write_text(re.sub("return tuple.*", pull, text))
+    said = answer(HANGING, tmp_path, "one_law:LAW")
+    assert said == "feedback thrusts 5 N where the formation would hang at rest"
+
+
 EVERYWHERE = """
 import json
 from tss_ros.core.model.parameters import with_parameter

@@ -87,12 +87,13 @@ def _where_it_ends(rows, quarter):
     never = [f"{row['gain']:g} N s/m every {row['period']:g} s"
              for row in rows if row["growth"][0] >= 1.0]  # fmt: skip
     words = (
-        f"The lag, the delay and half the period, is what counts. With {small:g} N s/m damping ends"
-        f" at lags of {min(lags):.0f} to {max(lags):.0f} s: a quarter of the swing's period is"
-        f" {quarter:.0f} s, and thrust that comes later pushes with the swing. With larger gains a"
-        " small lag helps, as it lets the satellites move a little more. But they are lost earlier,"
-        f" by their own motion: at lags of {ends}. A damper that is late rings by itself from π/2"
-        " on, and one that samples overshoots where c times the period over m exceeds 2"
+        f"The lag is the delay and half the period. With {small:g} N s/m nothing else counts:"
+        f" damping ends at lags of {min(lags):.0f} to {max(lags):.0f} s. A quarter of the swing's"
+        f" period is {quarter:.0f} s, and thrust that comes later pushes with the swing. With"
+        " larger gains the swing decays faster at a small lag than at none, but damping ends"
+        f" earlier: at lags of {ends}. For comparison, a damper that is late rings by itself where"
+        " c times the lag over m exceeds π/2, and one that samples overshoots where c times the"
+        " period over m exceeds 2"
     )
     return [words + (f", as with {', '.join(never)}." if never else ".")]
 

@@ -16,6 +16,7 @@ import scipy.sparse
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import EQUILIBRIUM, InitialState
 from tss_ros.core.model.equilibria import equilibrium, imbalance, laws_at_rest
+from tss_ros.core.model.feedback import thrust
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
@@ -30,6 +31,8 @@ from tss_ros.core.stability.shooting import closure
 #: Most cycles of the fastest mode that are integrated to certify the exponents, and after how many
 #: e-foldings a mode counts as gone.
 MOST_CYCLES, GONE = 200.0, 30.0
+#: Thrust that an equilibrium may have by rounding, over forces of the gravity gradient.
+BALANCED = 1e-6
 
 
 def hanging_floquet(
@@ -46,6 +49,7 @@ def hanging_floquet(
     resting, left_out = laws_at_rest(system)
     try:
         start = _start(resting, state, correct and method != "frozen")
+        _require_no_thrust(resting, start)
     except NoSteadyState as error:
         return FloquetResult(
             **asked(method, system, 0.0), message=str(error),
@@ -101,6 +105,15 @@ def _start(system, state, correct):
             f" left out of balance by {force:.3g} N, and beads move at up to {speed:.3g} m/s"
         )
     return InitialState(state.position_m, state.velocity_m_s, "the given state, an equilibrium")
+
+
+def _require_no_thrust(system, start):
+    """Feedback has to leave an equilibrium alone, which is found without it."""
+    force = float(np.abs(thrust(system, 0.0, start)).max())
+    scale = np.max(system.mass_kg) * system.orbit_rate_rad_s**2 * np.max(np.abs(start.position_m))
+    if force > BALANCED * scale:
+        words = f"feedback thrusts {force:.3g} N where the formation would hang at rest"
+        raise NoSteadyState(words)
 
 
 def exponents(
