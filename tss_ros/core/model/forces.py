@@ -293,12 +293,8 @@ def tether_state(
         taut = length > system.rest_length_m  # Eq. (5)
     else:
         rest, unreeling = rests
-        out = rest > 0.0
-        share = system.rest_length_m / np.where(out, rest, system.rest_length_m)
-        arrays = arrays._replace(
-            rest=rest, stiffness=share * arrays.stiffness, damping=share * arrays.damping
-        )
-        taut, growth = out & (length > rest), growth - unreeling
+        arrays = _with_rests(arrays, system, rest)
+        taut, growth = (rest > 0.0) & (length > rest), growth - unreeling
     pull, _ = tension_and_slopes(arrays, length, growth)
     if not system.law.pushes:
         pull = np.maximum(pull, 0.0)
@@ -315,12 +311,27 @@ def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndar
 
 
 @checked
-def elastic_energy(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
-    """Elastic energy [J] of all taut tethers together; shapes as `tether_state`, result (...)."""
+def elastic_energy(
+    system: System,
+    position_m: np.ndarray,
+    velocity_m_s: np.ndarray,
+    rests: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Elastic energy [J] of all taut tethers together, shape (...); all else as `tether_state`."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
-    arrays = kernel_arrays(system, 0.0)
+    arrays, out = kernel_arrays(system, 0.0), True
+    if rests is not None:
+        arrays, out, growth = _with_rests(arrays, system, rests[0]), rests[0] > 0.0, growth - rests[1]
     energy = energy_of_arrays(arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping)
-    return np.sum(np.where((length > arrays.rest) | system.bilateral, energy, 0.0), axis=-1)
+    taut = out & ((length > arrays.rest) | system.bilateral)
+    return np.sum(np.where(taut, energy, 0.0), axis=-1)
+
+
+def _with_rests(arrays, system, rest):
+    """Kernels' arrays for other rest lengths [m], (..., m); 0 on a reel."""
+    share = system.rest_length_m / np.where(rest > 0.0, rest, system.rest_length_m)
+    stiffness, damping = share * arrays.stiffness, share * arrays.damping
+    return arrays._replace(rest=rest, stiffness=stiffness, damping=damping)
 
 
 @checked

@@ -123,12 +123,14 @@ def rests_over(
         [m], `reels.NEVER_M` for a tether that is cut; and [m/s].
     """
     rests = Commands.none(system).rests(system, times_s)
-    for edge, commands in plan:
-        after = times_s > edge
-        for part, values in zip(rests, commands.rests(system, times_s[after])):
-            part[after] = values
+    firsts = np.searchsorted(times_s, [edge for edge, _ in plan], side="right").tolist()
+    for (_, commands), first, end in zip(plan, firsts, [*firsts[1:], times_s.size]):
+        if first == end:
+            continue
+        for part, values in zip(rests, commands.rests(system, times_s[first:end])):
+            part[first:end] = values
         for part, value in zip(rests, (NEVER_M, 0.0)):
-            part[np.ix_(after, commands.cut)] = value
+            part[first:end, commands.cut] = value
     return rests
 
 
