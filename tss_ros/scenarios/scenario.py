@@ -21,6 +21,8 @@ starts from their positions and velocities instead of a steady state that is loo
 
 Instead of its elements the orbit may be given by `two_line_elements`, a list of two lines, or by
 `orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
+
+Tethers may begin on their reels: `deployed_m` and `reels`, see `tss_ros.scenarios.reels`.
 """
 
 import warnings
@@ -38,6 +40,8 @@ from tss_ros.core.model.system import finite
 from tss_ros.scenarios import files, orbits
 from tss_ros.scenarios.doubts import ImplausibleValue, doubts
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
+from tss_ros.scenarios.reels import KEYS as REELS
+from tss_ros.scenarios.reels import Reels, read_reels
 
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation")
@@ -61,12 +65,15 @@ class Scenario:
         One of `tss_ros.core.FORMATIONS`, or "graph" where bodies and tethers are spelled out.
     parameters : dict
         Values by parameter name, scalars or lists, `spin_rate_ratio` among them.
+    reels : Reels or None
+        How much of its tethers is out as a run begins, and what is flown then; None: all.
     """
 
     name: str
     description: str
     formation: str
     parameters: dict
+    reels: Reels | None = None
     _bodies: tuple = field(default=(), repr=False)
     _tethers: tuple = field(default=(), repr=False)
     _velocities: tuple = field(default=(), repr=False)
@@ -206,6 +213,8 @@ def load(name_or_path: str | Path) -> Scenario:
     try:
         scenario = _parse(text, content)
         system = scenario.build()
+        if scenario.reels:
+            scenario.reels.of(system)
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     for words in doubts(system, scenario._bodies, scenario._tethers, scenario._velocities):
@@ -221,7 +230,7 @@ def _parse(name, content):
         (*_ABOUT, *_PARAMETERS)
         if not graph
         else ("description", "bodies", "tethers", *_GRAPH_PARAMETERS)
-    ) + orbits.KEYS
+    ) + (*orbits.KEYS, *REELS)
     for key in content:
         if key not in known:
             raise TssError(
@@ -238,7 +247,7 @@ def _parse(name, content):
         shape = content.get("formation", "ring")
         if shape not in FORMATIONS:
             raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
-        return Scenario(name, description, shape, parameters)
+        return Scenario(name, description, shape, parameters, read_reels(content))
     entries = _entries(content, "bodies")
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]
     velocities = _velocities(entries)
@@ -247,9 +256,8 @@ def _parse(name, content):
     entries = _entries(content, "tethers")
     tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
     _check_names("tethers", [tether.name for tether in tethers])
-    return Scenario(
-        name, description, "graph", parameters, tuple(bodies), tuple(tethers), velocities
-    )
+    about = name, description, "graph", parameters, read_reels(content)
+    return Scenario(*about, tuple(bodies), tuple(tethers), velocities)
 
 
 def _entries(content, key):

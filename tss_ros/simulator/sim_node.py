@@ -22,12 +22,14 @@ from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
+from tss_ros.scenarios import scenario
 from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.pacing import Pace
+from tss_ros.simulator.reel_commands import reel_start
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Simulation
@@ -47,10 +49,6 @@ LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 
 
-#: The topics of odometry and of commands, one for each satellite.
-ODOMETRY, COMMANDS = "{satellite}/odom", "~/{satellite}/cmd_wrench"
-
-
 class SimNode(TssNode):
     """Publishes a step each `publish_period_s` of simulated time; see parameters.SIMULATOR."""
 
@@ -67,12 +65,12 @@ class SimNode(TssNode):
             name: create_publisher(self, topic)
             for name, topic in topics.items()
             if topic.publisher == "sim_node"
-            and name != ODOMETRY
+            and name != odometry.TOPIC
             and self._options.get(optional.get(name), True)
         }
         self._steps = StepPublisher(self._publisher, self._frame_id)
         self._odometry = odometry.OdometryPublishers(
-            self, topics[ODOMETRY], self._options["frame_prefix"]
+            self, topics[odometry.TOPIC], self._options["frame_prefix"]
         )
         self._recorded = [name for name in self._publisher if topics[name].recorded]
         depth = min(
@@ -84,7 +82,7 @@ class SimNode(TssNode):
         simulation = Simulation(setup, self._options["turns"], wake.set)
         simulation.set_timeout(self._options["command_timeout_s"])
         self._commands = CommandTopics(
-            self, topics[COMMANDS], self._publisher[APPLIED], simulation, lambda: self._options
+            self, topics, self._publisher[APPLIED], simulation, lambda: self._options
         )
         self._flow = FlowControl(
             max(1, depth // 4), self.get_logger(), wake.set, self._options["recorder_patience_s"]
@@ -171,7 +169,8 @@ class SimNode(TssNode):
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
         odometry.check(self._options["odometry"], built[0])
-        return Setup.of(self._options, *built)
+        loaded = scenario.load(self._options["scenario"])
+        return Setup.of(self._options, *built, reel_start(loaded, built[0]))
 
     # --- in the simulation's thread
 

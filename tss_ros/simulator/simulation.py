@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tss_ros.core import Commands, State, TssError
+from tss_ros.core.model.reels import Deployment
 from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.commands import CommandTable
@@ -92,6 +93,11 @@ class Simulation:
         return self._commands.at(self.newest.time_ns)
 
     @property
+    def part_out(self) -> Deployment:
+        """The beads that are not on a reel at the newest state, and what they carry."""
+        return self.acting.part_out(self.setup.system, self.newest.time_ns / 1e9)
+
+    @property
     def ready(self) -> bool:
         """Whether `take` returns at once."""
         self._collect()
@@ -173,10 +179,34 @@ class Simulation:
         self._change(State(newest.position_m + offset_m, newest.velocity_m_s + velocity_m_s))
 
     def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
-        """Give one bead a position [m] and a velocity [m/s], each of shape (3,)."""
+        """Give one bead a position [m] and a velocity [m/s], each of shape (3,).
+
+        Raises
+        ------
+        TssError
+            If it is on a reel, or would be where a neighbour is.
+        """
+        self.index_out(bead)
         state = State(self.newest.position_m.copy(), self.newest.velocity_m_s.copy())
         state.position_m[bead], state.velocity_m_s[bead] = position_m, velocity_m_s
         self._change(state)
+
+    def index_out(self, bead: int) -> int:
+        """Index of a bead among those that are out.
+
+        Raises
+        ------
+        TssError
+            If it is on a reel.
+        """
+        part, names = self.part_out, self.setup.system.bead_name
+        index = int(part.carrier[bead])
+        if part.beads[index] != bead:
+            raise TssError(
+                f"{names[bead]} is on a reel and rides with {names[part.beads[index]]};"
+                " allowed: beads that are out"
+            )
+        return index
 
     def save(self, file: str) -> None:
         """Write a snapshot.
@@ -219,7 +249,8 @@ class Simulation:
         if not 0 <= time_ns <= MAX_TIME_S * 1e9:
             raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
         start, since_ns = self.setup.start, place["since_ns"]
-        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns)
+        acting = self._new_table(self.setup).at(0)
+        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns, acting)
         trajectory.resume(checkpoint)
         try:
             state = trajectory.first(place["index"])
@@ -233,16 +264,19 @@ class Simulation:
         self._trajectory.close()
 
     def _begin_anew(self, setup, base_ns):
-        """Begin with what a setup says, and without commands."""
-        self._begin(setup, setup.start, self._new_table(setup), base_ns)
+        """Begin with what a setup says, and without commands but its own."""
+        commands = self._new_table(setup)
+        commands.shift(base_ns)
+        self._begin(setup, setup.start, commands, base_ns)
 
     def _new_table(self, setup):
-        commands = CommandTable(setup.system)
+        commands = setup.commands
         commands.timeout_ns = self._timeout_ns
         return commands
 
     def _begin(self, setup, state, commands, base_ns):
-        trajectory = Trajectory(setup, state, self._on_ready, base_ns)
+        acting = _counted_from(base_ns, commands.at(base_ns))
+        trajectory = Trajectory(setup, state, self._on_ready, base_ns, acting)
         self.setup = setup
         self._continue(trajectory, commands, base_ns, trajectory.first())
 
@@ -250,8 +284,9 @@ class Simulation:
         """Go on from another state, which shows in the state after it."""
         first, second = self.setup.system.tether_ends.T
         length_m = np.linalg.norm(state.position_m[first] - state.position_m[second], axis=1)
-        for k in np.flatnonzero(length_m == 0.0):
-            system = self.setup.system
+        system = self.setup.system
+        out = self.part_out.segments
+        for k in out[length_m[out] == 0.0]:
             raise TssError(
                 f"{system.bead_name[first[k]]} and {system.bead_name[second[k]]} would be in one "
                 f"place; {system.tether_name[k]} between them has no direction there"
@@ -282,7 +317,9 @@ class Simulation:
         edges = self._edges(self.newest.time_ns) if self._commands else []
         if edges:
             base_ns = self._base_ns
-            self._trajectory.plan([(edge_s(self.setup, t - base_ns), c) for t, c in edges])
+            self._trajectory.plan(
+                [(edge_s(self.setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
+            )
 
     def _tell(self, time_ns, acting, anew=False):
         """Keep for `take_changes` what acts, if that is news."""
@@ -297,3 +334,14 @@ class Simulation:
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)
+
+
+def _counted_from(base_ns, commands):
+    """Commands for a clock that begins at a simulation time [ns]."""
+    if not base_ns or not commands.unreels:
+        return commands
+    reel = np.array(commands.reel)
+    moves = reel[:, 2:].any(axis=1)
+    # Exact as far as whole nanoseconds are: a clock that is set anew changes no motion.
+    reel[moves, 0] = (np.rint(reel[moves, 0] * 1e9) - base_ns) / 1e9
+    return commands._replace(reel=reel)

@@ -18,9 +18,17 @@ from tss_ros.scenarios.files import open_regular
 from tss_ros.simulator.checkpoint import Checkpoint
 
 #: Raised whenever entries change. Version 1 had no number and the integrator's own names.
-FORMAT_VERSION = 4
-#: Types of the arrays of commands, of shape (k, 3).
-_COMMANDS = {"when_and_where": np.int64, "force_n": float}
+FORMAT_VERSION = 5
+#: Arrays of commands: which share their length k, the shape of each of k, and its type.
+_COMMANDS = {
+    "when_and_where": ("commands", (3,), np.int64),
+    "force_n": ("commands", (3,), float),
+    "reel_heads": ("reel commands", (4,), np.int64),
+    "reel_limits": ("reel commands", (3,), float),
+    "reel_points": ("points", (3,), float),
+    "reel_since_ns": ("reels", (), np.int64),
+    "reel_cubic": ("reels", (4,), float),
+}
 #: What the entries of a snapshot may need besides their numbers [B].
 MORE_BYTES = 2**20
 #: What reading an archive raises, whatever it holds.
@@ -130,9 +138,10 @@ def read(
     names = ("index", "base_ns", "since_ns", "from_index")
     numbers = [content.get(f"place_{name}") for name in names]
     commands = {name: content.get(f"commands_{name}") for name in _COMMANDS}
-    count = np.shape(commands["force_n"])[:1]
+    counts = {_COMMANDS[name][0]: np.shape(array)[:1] for name, array in commands.items()}
     whole = all(_fits(array, like.arrays[name]) for name, array in arrays.items())
-    whole &= all(_fits(commands[name], np.empty((*count, 3), t)) for name, t in _COMMANDS.items())
+    for name, (group, shape, kind) in _COMMANDS.items():
+        whole &= _fits(commands[name], np.empty((*counts[group], *shape), kind))
     if not (whole and all(_fits(number, np.array(0)) for number in numbers)):
         raise TssError(f"snapshot {file!r:.200} is damaged")
     index, base_ns, since_ns, from_index = map(int, numbers)

@@ -23,6 +23,7 @@ from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
+from tss_ros.simulator.reel_commands import reel_start
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
 from tss_ros.simulator.trajectory import compute_states, edge_s
@@ -39,7 +40,7 @@ def simulate(
     output: str | Path,
     on_progress: Callable[[float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
-    commands: Sequence[tuple[int, Commands]] = (),
+    commands: Sequence[tuple[int, Commands]] | None = None,
 ) -> BagWriter:
     """Simulate and write the bag that `logger_node` would have recorded of `sim_node`.
 
@@ -57,9 +58,9 @@ def simulate(
         Called with the share done.
     cancelled : callable, optional
         Asked again and again whether to end.
-    commands : sequence of (int, Commands)
+    commands : sequence of (int, Commands), optional
         Simulation times [ns] at which what acts from outside changes, and what acts from then on,
-        as `bags.wrenches.read_commands` gives them.
+        as `bags.wrenches.read_commands` gives them. Without them the reels do what the setup says.
 
     Returns
     -------
@@ -101,9 +102,15 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     )
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
-    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
-    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting in commands])
-    told = 0
+    given = setup.commands.edges(1) if commands is None else commands
+    begun, acting = setup.commands.at(0), [(0, setup.commands.at(0))]
+    for change in given:
+        if change[1] != acting[-1][1]:
+            acting.append(change)
+    plan = [(edge_s(setup, time_ns), commands) for time_ns, commands in acting]
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=plan[:1])
+    propagator.command(plan[1:])
+    told = int(not begun.acts(setup.system))
     most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:
@@ -119,10 +126,11 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             resume(propagator, before)
             most = 1  # what there is before the end goes into the bag state by state
             continue
-        while told < len(commands) and commands[told][0] < states.time_ns[-1]:
-            edge_ns, acting = commands[told]
-            step = first + int(np.searchsorted(states.time_ns, edge_ns, side="right"))
-            message = applied_wrenches(setup.system, acting, edge_ns, step)
+        while told < len(acting) and (not told or acting[told][0] < states.time_ns[-1]):
+            edge_ns, changed = acting[told]
+            # What a run begins with shows in its first state, what changes in the next one.
+            row = int(np.searchsorted(states.time_ns, edge_ns, side="right")) if told else 0
+            message = applied_wrenches(setup.system, changed, edge_ns, first + row)
             told += 1
             writer.write(channels[APPLIED], message, edge_ns, time.time_ns(), told)
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
@@ -154,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         setup = make_setup(options)
-        commands = read_commands(options.commands, setup.system) if options.commands else ()
+        commands = read_commands(options.commands, setup.system) if options.commands else None
         writer = simulate(setup, options.turns, options.output, show, stopped.is_set, commands)
     except Cancelled:
         line.end()
@@ -201,7 +209,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(said, system, ratio, loaded.start(system))
+    return Setup.of(said, system, ratio, loaded.start(system), reel_start(loaded, system))
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -230,7 +238,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     )  # fmt: skip
     parser.add_argument(
         "--commands", type=Path, metavar="BAG",
-        help="push satellites and cut tethers as in the first run of this bag",
+        help="push satellites, move reels and cut tethers as in the first run of this bag",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     for parameter in RUN:

@@ -19,6 +19,7 @@ from tss_ros.core import (
     System,
     orbit_elements,
 )
+from tss_ros.core.model.reel_plans import rests_over
 from tss_ros.messages.steps import States
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
@@ -68,11 +69,8 @@ def compute_states(
     edges = [(-1.0, propagator.commands), *propagator.plan]
     sampled = propagator.sample(times_s, cancelled)
     time_ns = np.rint(times_s * 1e9).astype(np.int64)
-    states = States.of(setup.system, setup.reference_radius_m, time_ns, *sampled)
-    for edge, commands in edges:
-        after = np.flatnonzero(times_s > edge)[:, None]
-        states.tension_n[after, commands.cut], states.taut[after, commands.cut] = 0.0, False
-    return states
+    rests = rests_over(setup.system, edges, times_s)
+    return States.of(setup.system, setup.reference_radius_m, time_ns, *sampled, rests)
 
 
 def edge_s(setup: Setup, time_ns: int) -> float:
@@ -109,13 +107,21 @@ class Trajectory:
         Called, in any thread, when states have become ready.
     since_ns : int
         Simulation time [ns] of index 0, for the axes of forces from outside.
+    acting : Commands
+        What acts from index 0 on, in times of the trajectory.
     """
 
     def __init__(
-        self, setup: Setup, state: State, on_ready: Callable[[], None], since_ns: int
+        self,
+        setup: Setup,
+        state: State,
+        on_ready: Callable[[], None],
+        since_ns: int,
+        acting: Commands,
     ) -> None:
         self._setup, self._on_ready, self.since_ns = setup, on_ready, since_ns
-        self._propagator = self._new_propagator(state)
+        self._start = state, acting
+        self._propagator = self._new_propagator()
         # What acts before the first edge that is to come or may be taken back, and these edges.
         self._base, self._plan = self._propagator.commands, []
         self._cancelled = threading.Event()
@@ -177,7 +183,7 @@ class Trajectory:
 
     def checkpoint_here(self) -> Checkpoint:
         """A checkpoint at the newest state taken, so that no edge of the plan lies between."""
-        other = self._new_propagator(self._setup.start)
+        other = self._new_propagator()
         resume(other, self.checkpoint())
         other.command(self._plan)
         compute_states(self._setup, other, self.index, 1)
@@ -216,12 +222,13 @@ class Trajectory:
         self._cancelled.set()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _new_propagator(self, state):
-        setup, since_s = self._setup, self.since_ns / 1e9
+    def _new_propagator(self):
+        setup, since_s, (state, acting) = self._setup, self.since_ns / 1e9, self._start
         system = begun_at(setup.system, since_s)
         # The same spin over another Omega, if J2 has changed the elements.
         spin = setup.spin_rate_ratio * setup.system.orbit_rate_rad_s
-        return Propagator(system, spin / system.orbit_rate_rad_s, state, since_s=since_s)
+        ratio, plan = spin / system.orbit_rate_rad_s, [(0.0, acting)]
+        return Propagator(system, ratio, state, since_s=since_s, plan=plan)
 
     def _interrupt(self):
         if self._future is not None and not self._future.cancel():

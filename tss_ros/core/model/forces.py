@@ -276,7 +276,8 @@ def tether_state(
     system : System
     position_m, velocity_m_s : ndarray, shape (..., n, 3)
     rests : tuple of two ndarray, shape (..., m), optional
-        Rest lengths [m] and their rates [m/s] where reels have changed them, `Commands.rests`.
+        Rest lengths [m] and their rates [m/s] where reels have changed them, `Commands.rests`;
+        a length of 0 for what pulls nothing, as it is on a reel or cut.
 
     Returns
     -------
@@ -290,15 +291,15 @@ def tether_state(
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)
     if rests is None:
-        taut = length > system.rest_length_m  # Eq. (5)
+        rests = system.rest_length_m, 0.0
     else:
-        rest, unreeling = rests
-        arrays = _with_rests(arrays, system, rest)
-        taut, growth = (rest > 0.0) & (length > rest), growth - unreeling
+        arrays = _with_rests(arrays, system, rests[0])
+    out = rests[0] > 0.0
+    taut, growth = out & (length > rests[0]), growth - rests[1]  # Eq. (5)
     pull, _ = tension_and_slopes(arrays, length, growth)
     if not system.law.pushes:
         pull = np.maximum(pull, 0.0)
-    return length, np.where(taut | system.bilateral, pull, 0.0), taut
+    return length, np.where(taut | (out & system.bilateral), pull, 0.0), taut
 
 
 def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
@@ -321,7 +322,8 @@ def elastic_energy(
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays, out = kernel_arrays(system, 0.0), True
     if rests is not None:
-        arrays, out, growth = _with_rests(arrays, system, rests[0]), rests[0] > 0.0, growth - rests[1]
+        arrays, out = _with_rests(arrays, system, rests[0]), rests[0] > 0.0
+        growth = growth - rests[1]
     energy = energy_of_arrays(arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping)
     taut = out & ((length > arrays.rest) | system.bilateral)
     return np.sum(np.where(taut, energy, 0.0), axis=-1)
