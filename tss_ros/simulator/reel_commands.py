@@ -16,10 +16,14 @@ from tss_ros.scenarios.scenario import Scenario
 RATE, TARGET, LINES, CUBICS = range(4)
 #: Shortest length [m] that a reel may be told to leave out.
 LEAST_M = 2.0 * SHORTEST_M
+#: Time [s] from which on nothing is planned, beyond that of all simulations.
+NEVER_S = 1e10
 #: Most points of a profile.
 MOST_POINTS = 1000
-#: Longest length [m] and largest rate [m/s] that a command may have.
-MAX_LENGTH_M, MAX_RATE_M_S = 1e7, 1e3
+#: Longest length [m], and smallest and largest rate [m/s] that a command may have.
+MAX_LENGTH_M, MIN_RATE_M_S, MAX_RATE_M_S = 1e7, 1e-9, 1e3
+#: What squares and cubes of time may be left out [m].
+NOTHING_M = 1e-9
 #: What is out over time [s]: length [m], rate [m/s], and the coefficients of square and cube.
 Cubic = tuple[float, float, float, float]
 
@@ -76,9 +80,10 @@ class ReelCommand(NamedTuple):
                 raise TssError(
                     f"position is {length_m:g} m; allowed: {LEAST_M:g} to {MAX_LENGTH_M:g}"
                 )
-            if not abs(rate_m_s) <= MAX_RATE_M_S:
+            if rate_m_s != 0.0 and not MIN_RATE_M_S <= abs(rate_m_s) <= MAX_RATE_M_S:
                 raise TssError(
-                    f"velocity is {rate_m_s:g} m/s; allowed: {-MAX_RATE_M_S:g} to {MAX_RATE_M_S:g}"
+                    f"velocity is {rate_m_s:g} m/s; allowed: 0, and {MIN_RATE_M_S:g} to"
+                    f" {MAX_RATE_M_S:g} in or out"
                 )
             if not max(last_s, 0.0) <= time_s < math.inf or time_s == last_s:
                 raise TssError(f"time_from_start is {time_s:g} s; allowed: from 0 on, increasing")
@@ -143,6 +148,8 @@ def planned(command: ReelCommand, length_m: float, rate_m_s: float) -> list[Reel
     high = max(limits.longest_m or NEVER_M, length_m)
     for duration_s, cubic in _pieces(command, length_m, rate_m_s):
         for since_s, part in _clamped(cubic, duration_s, low, high):
+            if begun_s + since_s > NEVER_S:
+                return edges
             time_ns = command.time_ns + round((begun_s + since_s) * 1e9)
             if edges and edges[-1].time_ns == time_ns:
                 edges.pop()
@@ -161,9 +168,12 @@ def is_limited(command: ReelCommand, length_m: float, rate_m_s: float) -> bool:
 def _pieces(command, length_m, rate_m_s):
     """Durations [s] and cubics, the last one without end, before there is a limit of lengths."""
     first_s, first_m, speed = command.points[0]
+    if command.kind in (RATE, TARGET):
+        speed = math.copysign(min(abs(speed), command.limits.rate_m_s or math.inf), speed)
     if command.kind == RATE:
         yield first_s or math.inf, (length_m, speed, 0.0, 0.0)
-        yield math.inf, (length_m + first_s * speed, 0.0, 0.0, 0.0)
+        if first_s:
+            yield math.inf, (length_m + first_s * speed, 0.0, 0.0, 0.0)
         return
     if command.kind == TARGET:
         rate = math.copysign(speed, first_m - length_m)
@@ -179,7 +189,9 @@ def _pieces(command, length_m, rate_m_s):
         mean = (b - a) / h
         cubic = (a, mean, 0.0, 0.0)
         if command.kind == CUBICS:
-            cubic = (a, va, (3.0 * mean - 2.0 * va - vb) / h, (va + vb - 2.0 * mean) / h**2)
+            c, d = (3.0 * mean - 2.0 * va - vb) / h, (va + vb - 2.0 * mean) / h**2
+            c, d = (0.0 if abs(x) * h**i < NOTHING_M else x for i, x in ((2, c), (3, d)))
+            cubic = (a, va, c, d)
         slower = _fastest(cubic, h) / (command.limits.rate_m_s or math.inf)
         if slower > 1.0 + 1e-12:
             h, cubic = h * slower, tuple(c / slower**i for i, c in enumerate(cubic))

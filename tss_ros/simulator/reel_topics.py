@@ -18,7 +18,6 @@ from tss_ros.ros.topics import Topic
 from tss_ros.simulator.reel_commands import (
     CUBICS,
     LINES,
-    MAX_RATE_M_S,
     RATE,
     TARGET,
     Limits,
@@ -112,23 +111,27 @@ def read_trajectory(
     return commands
 
 
-def limited(command: ReelCommand) -> tuple[ReelCommand, str]:
-    """A rate or a target within the limits, and in words what was changed of it; "" if nothing."""
-    if command.kind not in (RATE, TARGET):
-        return command, ""
+def limited(command: ReelCommand, out: tuple[float, float]) -> str:
+    """In words what limits make of a command; "" if nothing.
+
+    Parameters
+    ----------
+    command : ReelCommand
+    out : tuple of float
+        Length [m] and rate [m/s] as it comes.
+    """
     limits, words = command.limits, []
-    time_s, length_m, rate_m_s = command.points[0]
-    most = limits.rate_m_s or MAX_RATE_M_S
-    if abs(rate_m_s) > most:
-        words.append(f"{rate_m_s:g} m/s scaled back to reel_rate_limit_m_s, {most:g} m/s")
-        rate_m_s = math.copysign(most, rate_m_s)
+    if command.kind in (LINES, CUBICS):
+        return "its profile is kept within the limits of reels" * is_limited(command, *out)
+    _, length_m, rate_m_s = command.points[0]
+    if abs(rate_m_s) > limits.rate_m_s > 0.0:
+        words.append(f"{rate_m_s:g} m/s scaled back to reel_rate_limit_m_s, {limits.rate_m_s:g}")
     if command.kind == TARGET:
         within = max(min(length_m, limits.longest_m or math.inf), limits.shortest_m)
         if within != length_m:
             name = "reel_shortest_m" if within > length_m else "reel_longest_m"
             words.append(f"{length_m:g} m is beyond {name}, {within:g} m, where it will stop")
-        length_m = within
-    return command._replace(points=((time_s, length_m, rate_m_s),)), "; ".join(words)
+    return "; ".join(words)
 
 
 def _places(names, system, field="name"):
@@ -230,17 +233,12 @@ class ReelTopics:
             for command in commands:
                 self._check_beginning(command, max(time_ns, simulation.newest.time_ns), system)
             for command in commands:
-                name = reel_names(system)[command.place]
-                command, words = limited(command)
+                begun = max(time_ns, simulation.newest.time_ns)
+                out = table.reels.at(command.place, begun).at(begun)
                 if not table.post(command):
                     raise TssError("too many commands to reels are kept; it is not")
-                begun = max(time_ns, simulation.newest.time_ns)
-                if not words and command.kind in (LINES, CUBICS):
-                    out = table.reels.at(command.place, begun).at(begun)
-                    if is_limited(command._replace(time_ns=begun), *out):
-                        words = "its profile is kept within the limits of reels"
-                if words:
-                    self._warn(name, words)
+                if words := limited(command, out):
+                    self._warn(reel_names(system)[command.place], words)
         except TssError as error:
             self._warn(about, f"command refused: {error}")
 
