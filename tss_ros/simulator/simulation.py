@@ -142,7 +142,7 @@ class Simulation:
         state = self._trajectory.take()
         self.newest = Sample(self._time_ns(self._trajectory.index), *state)
         if self._commands:
-            for time_ns, acting in self._edges(begun_ns):
+            for time_ns, acting in _edges(self._commands, begun_ns):
                 if time_ns < self.newest.time_ns:
                     self._tell(time_ns, acting)
         return self.newest
@@ -249,8 +249,8 @@ class Simulation:
         if not 0 <= time_ns <= MAX_TIME_S * 1e9:
             raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
         start, since_ns = self.setup.start, place["since_ns"]
-        acting = self._new_table(self.setup).at(0)
-        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns, acting)
+        plan = _plan_of(self.setup, self._new_table(self.setup), 0, 0)
+        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns, plan)
         trajectory.resume(checkpoint)
         try:
             state = trajectory.first(place["index"])
@@ -275,8 +275,8 @@ class Simulation:
         return commands
 
     def _begin(self, setup, state, commands, base_ns):
-        acting = _counted_from(base_ns, commands.at(base_ns))
-        trajectory = Trajectory(setup, state, self._on_ready, base_ns, acting)
+        plan = _plan_of(setup, commands, base_ns, base_ns)
+        trajectory = Trajectory(setup, state, self._on_ready, base_ns, plan)
         self.setup = setup
         self._continue(trajectory, commands, base_ns, trajectory.first())
 
@@ -309,17 +309,10 @@ class Simulation:
         if self._commands.collect(self.newest.time_ns):
             self._plan()
 
-    def _edges(self, from_ns):
-        """What acts from a time [ns] on, and all changes to come."""
-        return [(from_ns, self._commands.at(from_ns)), *self._commands.edges(from_ns + 1)]
-
     def _plan(self):
-        edges = self._edges(self.newest.time_ns) if self._commands else []
-        if edges:
-            base_ns = self._base_ns
-            self._trajectory.plan(
-                [(edge_s(self.setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
-            )
+        if self._commands:
+            plan = _plan_of(self.setup, self._commands, self.newest.time_ns, self._base_ns)
+            self._trajectory.plan(plan)
 
     def _tell(self, time_ns, acting, anew=False):
         """Keep for `take_changes` what acts, if that is news."""
@@ -334,6 +327,17 @@ class Simulation:
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)
+
+
+def _edges(commands, from_ns):
+    """What acts from a simulation time [ns] on, and all changes to come."""
+    return [(from_ns, commands.at(from_ns)), *commands.edges(from_ns + 1)]
+
+
+def _plan_of(setup, commands, from_ns, base_ns):
+    """The same in times [s] of a trajectory that begins at a simulation time [ns]."""
+    edges = _edges(commands, from_ns)
+    return [(edge_s(setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
 
 
 def _counted_from(base_ns, commands):

@@ -102,15 +102,15 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     )
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
-    given = setup.commands.edges(1) if commands is None else commands
-    begun, acting = setup.commands.at(0), [(0, setup.commands.at(0))]
-    for change in given:
+    own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
+    acting = own[:1]
+    for change in own[1:] if commands is None else commands:
         if change[1] != acting[-1][1]:
             acting.append(change)
-    plan = [(edge_s(setup, time_ns), commands) for time_ns, commands in acting]
-    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=plan[:1])
-    propagator.command(plan[1:])
-    told = int(not begun.acts(setup.system))
+    plan = [(edge_s(setup, time_ns), commands) for time_ns, commands in own]
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=plan)
+    propagator.command(coming := _plan(setup, acting[1:], last))
+    told = int(not acting[0][1].acts(setup.system))
     most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:
@@ -124,6 +124,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             if most == 1:
                 raise
             resume(propagator, before)
+            propagator.command(coming)
             most = 1  # what there is before the end goes into the bag state by state
             continue
         while told < len(acting) and (not told or acting[told][0] < states.time_ns[-1]):
@@ -139,6 +140,18 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
         first += len(states.time_ns)
         if on_progress:
             on_progress(first / (last + 1))
+
+
+def _plan(setup, changes, last):
+    """Changes in times [s] of the run; with its last state all reels stop, wherever they led to."""
+    end_s = last * setup.publish_period_s
+    plan = [(edge_s(setup, time_ns), commands) for time_ns, commands in changes]
+    if plan and plan[-1][0] < end_s and plan[-1][1].unreels:
+        stopped = plan[-1][1].checked(setup.system)
+        stopped.reel[:] = 0.0
+        stopped.reel[:, 1] = plan[-1][1].lengths_out(end_s)[0]
+        plan.append((end_s, stopped))
+    return plan
 
 
 def main(argv: Sequence[str] | None = None) -> int:

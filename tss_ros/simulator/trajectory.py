@@ -107,8 +107,8 @@ class Trajectory:
         Called, in any thread, when states have become ready.
     since_ns : int
         Simulation time [ns] of index 0, for the axes of forces from outside.
-    acting : Commands
-        What acts from index 0 on, in times of the trajectory.
+    plan : list of (float, Commands)
+        What acts from index 0 on, and when [s] after that it changes.
     """
 
     def __init__(
@@ -117,13 +117,13 @@ class Trajectory:
         state: State,
         on_ready: Callable[[], None],
         since_ns: int,
-        acting: Commands,
+        plan: list[tuple[float, Commands]],
     ) -> None:
         self._setup, self._on_ready, self.since_ns = setup, on_ready, since_ns
-        self._start = state, acting
+        self._start = state, plan
         self._propagator = self._new_propagator()
         # What acts before the first edge that is to come or may be taken back, and these edges.
-        self._base, self._plan = self._propagator.commands, []
+        self._base, self._plan = self._propagator.commands, _news(plan[0][1], plan)
         self._cancelled = threading.Event()
         self._pool = ThreadPoolExecutor(max_workers=1)
         self._rows, self._future = deque(), None
@@ -200,11 +200,7 @@ class Trajectory:
 
         What has been integrated ahead without knowing of it is given up.
         """
-        plan, acting = [], self._base
-        for edge, commands in [e for e in self._plan if e[0] < edges[0][0]] + edges:
-            if commands != acting:
-                plan.append((edge, commands))
-                acting = commands
+        plan = _news(self._base, [e for e in self._plan if e[0] < edges[0][0]] + edges)
         if plan == self._plan:
             return
         self._interrupt()
@@ -223,11 +219,11 @@ class Trajectory:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _new_propagator(self):
-        setup, since_s, (state, acting) = self._setup, self.since_ns / 1e9, self._start
+        setup, since_s, (state, plan) = self._setup, self.since_ns / 1e9, self._start
         system = begun_at(setup.system, since_s)
         # The same spin over another Omega, if J2 has changed the elements.
         spin = setup.spin_rate_ratio * setup.system.orbit_rate_rad_s
-        ratio, plan = spin / system.orbit_rate_rad_s, [(0.0, acting)]
+        ratio = spin / system.orbit_rate_rad_s
         return Propagator(system, ratio, state, since_s=since_s, plan=plan)
 
     def _interrupt(self):
@@ -260,3 +256,13 @@ class Trajectory:
         states = compute_states(self._setup, self._propagator, first, count, self._cancelled.is_set)
         end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(states, end, time.monotonic() - begun)
+
+
+def _news(acting, edges):
+    """The edges at which something else comes to act."""
+    found = []
+    for edge, commands in edges:
+        if commands != acting:
+            found.append((edge, commands))
+            acting = commands
+    return found
