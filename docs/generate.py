@@ -262,6 +262,10 @@ _FOREIGN_TOPICS = {
     " to another or to the centre of mass, along the axes of the orbit frame.",
     "~/{satellite}/cmd_wrench": "Force on a satellite [N], until the next one: see"
     " [Push satellites](../howto/control.md).",
+    "~/cmd_tether": "Rates [m/s] and target lengths [m] of reels, by names of whole tethers: see"
+    " [Move reels](../howto/control.md).",
+    "~/cmd_tether_trajectory": "Profiles of lengths [m] that reels fly: see"
+    " [Move reels](../howto/control.md).",
     "/tf": "With `publish_tf`: `inertial` > `orbit` > every bead [m], at most 50 times a second"
     " of wall time.",
 }

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.bags.older import UNSAID, completed
+from tss_ros.bags.older import UNSAID, completed, completed_rests
 from tss_ros.bags.reader import STAMP, STATES, BagContent, description_of, runs_of, times_ns
 from tss_ros.bags.records import DAMAGE, BagError
 from tss_ros.core import System, TssError
@@ -134,6 +134,9 @@ class Recording(SampledMotion, Description):
     length_m, tension_n : ndarray, shape (k, m)
         [m], [N].
     taut : ndarray, shape (k, m), bool
+    rests_m, rest_rates_m_s : ndarray, shape (k, m)
+        Rest lengths [m], 0 on a reel or cut, and how fast they are paid out [m/s]. In bags made
+        before tethers had reels all are out.
     run, runs : int
         This is the run-th of the runs in its bag, from 1; each begins where the steps begin anew.
     stability : tuple of messages FloquetResult
@@ -154,6 +157,8 @@ class Recording(SampledMotion, Description):
     length_m: np.ndarray
     tension_n: np.ndarray
     taut: np.ndarray
+    rests_m: np.ndarray
+    rest_rates_m_s: np.ndarray
     run: int = 1
     runs: int = 1
     stability: tuple = ()
@@ -173,14 +178,14 @@ class Recording(SampledMotion, Description):
     def only(self, chosen: np.ndarray) -> "Recording":
         """Some of the steps, e.g. where a mask of shape (k,) is true."""
         names = ("step", "t_s", "position_m", "velocity_m_s", "deviation")
-        names += ("length_m", "tension_n", "taut")
+        names += ("length_m", "tension_n", "taut", "rests_m", "rest_rates_m_s")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
     def is_finite(self) -> np.ndarray:
         """Which steps have finite numbers only, shape (k,)."""
         numbers = (self.position_m, self.velocity_m_s, self.deviation)
-        numbers += (self.length_m, self.tension_n)
+        numbers += (self.length_m, self.tension_n, self.rests_m, self.rest_rates_m_s)
         return np.logical_and.reduce([np.isfinite(x.reshape(len(x), -1)).all(1) for x in numbers])
 
     @property
@@ -199,7 +204,8 @@ class Recording(SampledMotion, Description):
         k, n, m = len(self.step), self.n, len(self.tether_name)
         shapes = dict.fromkeys(("position_m", "velocity_m_s"), (k, n, 3))
         shapes |= {"reference_radius_m": (n,), "deviation": (k, n)}
-        shapes |= dict.fromkeys(("length_m", "tension_n", "taut"), (k, m))
+        names = ("length_m", "tension_n", "taut", "rests_m", "rest_rates_m_s")
+        shapes |= dict.fromkeys(names, (k, m))
         for name, shape in shapes.items():
             found = getattr(self, name)
             if found.shape != shape or found.dtype.kind not in "fb":
@@ -327,6 +333,10 @@ def _recording(bag, place, description, beads, tethers):
         raise BagError(f"{bag.shown!r}: BeadStates and TetherStates of a step differ in time")
     number, count, prefix = place
     try:
+        names = ("rest_length_m", "rest_rate_m_s")
+        said = set(names) <= set(tethers.dtype.names)
+        said = tuple(column("tethers", name, -1) for name in names) if said else None
+        rests = completed_rests(said, description.rest_length_m, len(steps))
         recording = Recording(
             **vars(Description.of(description)),
             step=steps.astype(int),
@@ -337,6 +347,8 @@ def _recording(bag, place, description, beads, tethers):
             length_m=column("tethers", "length_m", -1),
             tension_n=column("tethers", "tension_n", -1),
             taut=column("tethers", "taut", -1).astype(bool),
+            rests_m=rests[0],
+            rest_rates_m_s=rests[1],
             run=number,
             runs=count,
             stability=tuple(map(completed, bag.results)),

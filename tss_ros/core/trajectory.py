@@ -92,8 +92,9 @@ class SampledMotion(Presented):
         """Energy in the orbit frame [J] (the Jacobi integral), shape (k,).
 
         Kinetic energy, that of a round Earth's gravity and of centrifugal force against the
-        frame's origin, and that of the taut tethers. Nothing but damping, drag and the Earth's
-        oblateness changes it. NaN where forces depend on time, as on an ellipse: there is none.
+        frame's origin, and that of the taut tethers. Nothing but damping, drag, the Earth's
+        oblateness, reels and thrusters changes it. NaN where forces depend on time, as on an
+        ellipse: there is none.
         """
         if not self.system.autonomous:
             return np.full(len(self.t_s), np.nan)
@@ -104,7 +105,8 @@ class SampledMotion(Presented):
         well = -2.0 * np.expm1(-0.5 * np.log1p(u)) - u
         tidal = self._described.orbit_rate_rad_s**2 * (radius**2 * well + z**2)
         speed2 = np.einsum("kni,kni->kn", self.velocity_m_s, self.velocity_m_s)
-        elastic = elastic_energy(self.system, self.position_m, self.velocity_m_s)
+        rests = self.rests_m, self.rest_rates_m_s
+        elastic = elastic_energy(self.system, self.position_m, self.velocity_m_s, rests)
         return 0.5 * (speed2 + tidal) @ self._described.mass_kg + elastic
 
     def columns(self, table: str = "beads") -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
@@ -135,6 +137,7 @@ class SampledMotion(Presented):
             values["deviation"] = self.deviation
         else:
             values = {name: getattr(self, name) for name in ("length_m", "tension_n", "taut")}
+            values |= {"rest_length_m": self.rests_m, "rest_rate_m_s": self.rest_rates_m_s}
         when = {"step": self.step, "t_s": self.t_s, "turns": self.turns}
         return {
             **{name: np.repeat(column, len(names)) for name, column in when.items()},
@@ -227,6 +230,8 @@ class Trajectory(SampledMotion, Stored):
     length_m, tension_n : ndarray, shape (k, m)
         [m], [N].
     taut : ndarray, shape (k, m), bool
+    rests_m, rest_rates_m_s : ndarray, shape (k, m)
+        Rest lengths [m], 0 on a reel or cut, and how fast they are paid out [m/s].
     switches : int
         Between slack and taut, and of tethers that only pull between pulling and not.
     """
@@ -241,6 +246,8 @@ class Trajectory(SampledMotion, Stored):
     length_m: np.ndarray
     tension_n: np.ndarray
     taut: np.ndarray
+    rests_m: np.ndarray
+    rest_rates_m_s: np.ndarray
     switches: int
 
     @property
@@ -364,6 +371,8 @@ def _with_failures(system, again, acting, t_s, cancelled):
         "length_m": length_m,
         "tension_n": tension_n,
         "taut": taut,
+        "rests_m": rests[0],
+        "rest_rates_m_s": rests[1],
         "switches": propagator.switches,
     }
 

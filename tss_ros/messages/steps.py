@@ -50,6 +50,8 @@ class States(NamedTuple):
     length_m, tension_n : ndarray, shape (k, m)
         Of every tether segment.
     taut : ndarray, shape (k, m), bool
+    rest_length_m, rest_rate_m_s : ndarray, shape (k, m)
+        What is out of the reels, 0 of a segment that is on one or cut, and how fast it is paid out.
     """
 
     time_ns: np.ndarray
@@ -59,6 +61,8 @@ class States(NamedTuple):
     length_m: np.ndarray
     tension_n: np.ndarray
     taut: np.ndarray
+    rest_length_m: np.ndarray
+    rest_rate_m_s: np.ndarray
 
     @classmethod
     def of(
@@ -68,8 +72,9 @@ class States(NamedTuple):
         time_ns: np.ndarray,
         position_m: np.ndarray,
         velocity_m_s: np.ndarray,
+        rests: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> "States":
-        """States with what follows from positions and velocities.
+        """States with what follows from positions, velocities and rest lengths.
 
         Parameters
         ----------
@@ -78,17 +83,22 @@ class States(NamedTuple):
             The zero of Eq. (53) [m].
         time_ns, position_m, velocity_m_s
             As the attributes.
+        rests : tuple of two ndarray, shape (k, m), optional
+            Rest lengths [m] and their rates [m/s]; those of tethers that are all out if not given.
 
         Returns
         -------
         States
         """
+        if rests is None:
+            rests = core.Commands.none(system).rests(system, np.zeros(len(time_ns)))
         return cls(
             time_ns,
             position_m,
             velocity_m_s,
             core.deviation(position_m, reference_radius_m),
-            *core.tether_state(system, position_m, velocity_m_s),
+            *core.tether_state(system, position_m, velocity_m_s, rests),
+            *rests,
         )
 
 
@@ -224,6 +234,8 @@ class StepMessages:
             numbers["length_m"] = states.length_m
             numbers["tension_n"] = states.tension_n
             numbers["taut"] = states.taut
+            numbers["rest_length_m"] = states.rest_length_m
+            numbers["rest_rate_m_s"] = states.rest_rate_m_s
         elif topic == "tether_lengths":
             _, rate_m_s = lengths_and_rates(self._system, states.position_m, states.velocity_m_s)
             numbers["position"] = states.length_m
@@ -268,6 +280,7 @@ class StepMessages:
             "header": self._header,
             "name": self._system.tether_name,
             **dict.fromkeys(("length_m", "tension_n", "taut"), np.zeros(self._system.m)),
+            **dict.fromkeys(("rest_length_m", "rest_rate_m_s"), np.zeros(self._system.m)),
         }
 
     def _tether_lengths(self, _):

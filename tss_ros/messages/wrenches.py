@@ -7,6 +7,7 @@ import numpy as np
 from tss_ros.core import Commands, System
 from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.failures import DEAD, STUCK, Change, thruster
+from tss_ros.core.model.reels import reels
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, header
 from tss_ros.messages.topics import read_topics
@@ -40,6 +41,7 @@ def applied_wrenches(
     """
     commands, failed = change.commands, change.failed
     frames, beads = np.nonzero(commands.force_n.any(axis=2))
+    reeled = (commands.reel != Commands.none(system).reel).any(axis=1)
     said = {
         "header": header(change.time, frame_id),
         "step": step,
@@ -50,6 +52,8 @@ def applied_wrenches(
         "cut_tether": [system.tether_name[i] for i in np.flatnonzero(commands.cut)],
         "dead_actuator": [name for name, mode in failed if mode == DEAD],
         "stuck_actuator": [name for name, mode in failed if mode == STUCK],
+        "reel_tether": [reels(system)[i].name for i in np.flatnonzero(reeled)],
+        "reel": commands.reel[reeled].ravel(),
     }
     return serialised(read_topics()[TOPIC].definition, said)
 
@@ -66,8 +70,10 @@ def change_of(system: System, message: Any) -> Change:
     forces = zip(message.satellite, message.frame, forces_n, strict=True)
     stamp = message.header.stamp
     modes = {DEAD: "dead_actuator", STUCK: "stuck_actuator"}
-    # Bags made before actuators could fail have neither.
+    # Bags made before actuators could fail, or before there were reels, have none of them.
     failed = [(name, mode) for mode, f in modes.items() for name in getattr(message, f, ())]
     failed.sort(key=lambda pair: thruster(system, pair[0]))
-    commands = Commands.of(system, forces, message.cut_tether)
+    rows = np.reshape(getattr(message, "reel", ()), (-1, 5))
+    reel = dict(zip(getattr(message, "reel_tether", ()), rows, strict=True))
+    commands = Commands.of(system, forces, message.cut_tether, reel)
     return Change(stamp.sec * 10**9 + stamp.nanosec, commands, tuple(failed))

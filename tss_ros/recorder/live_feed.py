@@ -8,6 +8,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, FloquetResult, SystemDescription, TetherStates
 
+from tss_ros.bags.older import completed_rests
 from tss_ros.bags.recording import Description, Recording
 from tss_ros.core import TssError
 from tss_ros.messages.cdr import stamp_ns, step_number
@@ -87,7 +88,8 @@ class LiveFeed:
         if self._description and steps:
             shown = steps[:: 1 + len(steps) // STEPS]
             states = [(self._beads[step], self._tethers[step]) for step in shown]
-            review.show(Recording(**vars(self._description), **_arrays(states)))
+            arrays = _arrays(states, self._description.rest_length_m)
+            review.show(Recording(**vars(self._description), **arrays))
             self._shown_step = steps[-1]
             # What is left are steps of which only one half has come so far.
             for waiting in (self._beads, self._tethers):
@@ -101,7 +103,7 @@ class LiveFeed:
         return [waiting.popleft() for _ in range(len(waiting))]
 
 
-def _arrays(serialised):
+def _arrays(serialised, rest_length_m):
     """Pairs of serialised bead and tether states as the arrays of a Recording."""
     beads = [deserialize_message(data, BeadStates) for data, _ in serialised]
     tethers = [deserialize_message(data, TetherStates) for _, data in serialised]
@@ -109,7 +111,13 @@ def _arrays(serialised):
     def vectors(name):
         return np.reshape([getattr(message, name) for message in beads], (len(beads), -1, 3))
 
+    said = (
+        [list(getattr(t, name)) for t in tethers] for name in ("rest_length_m", "rest_rate_m_s")
+    )
+    rests_m, rest_rates_m_s = completed_rests(tuple(said), rest_length_m, len(tethers))
     return {
+        "rests_m": rests_m,
+        "rest_rates_m_s": rest_rates_m_s,
         "step": np.array([message.step for message in beads]),
         "t_s": np.array([stamp_ns(data) / 1e9 for data, _ in serialised]),
         "position_m": vectors("position_m"),

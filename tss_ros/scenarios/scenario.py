@@ -23,6 +23,7 @@ Instead of its elements the orbit may be given by `two_line_elements`, a list of
 `orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
 
 What is to fail during a simulation is listed by `failures`; see `tss_ros.scenarios.failures`.
+Tethers may begin on their reels: `deployed_m` and `reels`, see `tss_ros.scenarios.reels`.
 """
 
 import warnings
@@ -50,6 +51,8 @@ from tss_ros.scenarios import files, orbits
 from tss_ros.scenarios.doubts import ImplausibleValue, doubts
 from tss_ros.scenarios.failures import read_failures
 from tss_ros.scenarios.parameters import GRAPH, SCENARIO, names
+from tss_ros.scenarios.reels import KEYS as REELS
+from tss_ros.scenarios.reels import Reels, read_reels
 
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation", "failures")
@@ -75,6 +78,8 @@ class Scenario:
         Values by parameter name, scalars or lists, `spin_rate_ratio` among them.
     failures : tuple of Failure
         What is to fail during a simulation.
+    reels : Reels or None
+        How much of its tethers is out as a run begins, and what is flown then; None: all.
     """
 
     name: str
@@ -82,6 +87,7 @@ class Scenario:
     formation: str
     parameters: dict
     failures: tuple[Failure, ...] = ()
+    reels: Reels | None = None
     _bodies: tuple = field(default=(), repr=False)
     _tethers: tuple = field(default=(), repr=False)
     _velocities: tuple = field(default=(), repr=False)
@@ -226,6 +232,8 @@ def load(name_or_path: str | Path) -> Scenario:
                 failure.check(system)
             except TssError as error:
                 raise TssError(f"failures[{i}]: {error}") from None
+        if scenario.reels:
+            scenario.reels.of(system)
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
     for words in doubts(system, scenario._bodies, scenario._tethers, scenario._velocities):
@@ -241,7 +249,7 @@ def _parse(name, content):
         (*_ABOUT, *_PARAMETERS)
         if not graph
         else ("description", "failures", "bodies", "tethers", *_GRAPH_PARAMETERS)
-    ) + orbits.KEYS
+    ) + (*orbits.KEYS, *REELS)
     for key in content:
         if key not in known:
             raise TssError(
@@ -259,7 +267,7 @@ def _parse(name, content):
         shape = content.get("formation", "ring")
         if shape not in FORMATIONS:
             raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
-        return Scenario(name, description, shape, parameters, failures)
+        return Scenario(name, description, shape, parameters, failures, read_reels(content))
     entries = _entries(content, "bodies")
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]
     velocities = _velocities(entries)
@@ -268,7 +276,7 @@ def _parse(name, content):
     entries = _entries(content, "tethers")
     tethers = [_tether(i, entry, known_bodies) for i, entry in enumerate(entries)]
     _check_names("tethers", [tether.name for tether in tethers])
-    about = name, description, "graph", parameters, failures
+    about = name, description, "graph", parameters, failures, read_reels(content)
     return Scenario(*about, tuple(bodies), tuple(tethers), velocities)
 
 

@@ -1,4 +1,4 @@
-"""The topics of commands: what a wrench may be, and what becomes of those that are given."""
+"""The topics of commands: what a wrench may be, and what becomes of all that are given."""
 
 import math
 import time
@@ -17,8 +17,11 @@ from tss_ros.ros.topics import Topic
 from tss_ros.simulator.commands import Command
 from tss_ros.simulator.failures import news
 from tss_ros.simulator.odometry import is_topic_name, satellites
+from tss_ros.simulator.reel_topics import ReelTopics
 from tss_ros.simulator.simulation import Simulation
 
+#: The topic of a satellite's wrenches.
+WRENCH = "~/{satellite}/cmd_wrench"
 #: Largest component of a force [N].
 MAX_FORCE_N = 1e6
 #: How far ahead [s] of the newest state a command may be.
@@ -67,13 +70,13 @@ def read_wrench(message: WrenchStamped, prefix: str) -> tuple[int, np.ndarray]:
 
 
 class CommandTopics:
-    """Takes `~/<satellite>/cmd_wrench`, and publishes what acts.
+    """Takes `~/<satellite>/cmd_wrench` and commands to reels, and publishes what acts.
 
     Parameters
     ----------
     node : rclpy.node.Node
-    topic : Topic
-        Its name holds "{satellite}".
+    topics : mapping of str to Topic
+        All of recording.yaml.
     publisher : Publisher
         Of AppliedWrenches.
     simulation : Simulation
@@ -84,15 +87,16 @@ class CommandTopics:
     def __init__(
         self,
         node: Node,
-        topic: Topic,
+        topics: Mapping[str, Topic],
         publisher: Publisher,
         simulation: Simulation,
         options: Callable[[], Mapping[str, Any]],
     ) -> None:
-        self._node, self._topic, self._publisher = node, topic, publisher
+        self._node, self._topic, self._publisher = node, topics[WRENCH], publisher
         self._simulation, self._options = simulation, options
         self._subscriptions, self._said = {}, {}
         self._before, self._run = None, 0
+        self._reels = ReelTopics(node, topics, simulation, options, read_time, self._warn)
 
     def begin(self, system: System) -> None:
         """Listen for a run's satellites; in the executor's thread, or before it spins."""
@@ -116,6 +120,7 @@ class CommandTopics:
             with subscription.handle:
                 while taken := subscription.handle.take_message(WrenchStamped, False):
                     self._on_wrench(name, taken[0])
+        self._reels.drain()
 
     def publish(self, system: System, step: int, run: int, frame_id: str) -> list[tuple[str, str]]:
         """Publish what has come to act since the step before; in the simulation's thread.
@@ -128,6 +133,7 @@ class CommandTopics:
         events = []
         for change in self._simulation.take_changes():
             self._publisher.publish(applied_wrenches(system, change, step, run, frame_id))
+            self._reels.tell(system, change.commands)
             events += news(system, self._before, change, run != self._run)
             self._before, self._run = change, run
         return events
@@ -153,7 +159,7 @@ class CommandTopics:
             self._warn(name, f"command refused: {error}")
 
     def _warn(self, name, text):
-        """Log a warning, unless there was one about this satellite just now."""
+        """Log a warning, unless there was one about this satellite or tether just now."""
         now = time.monotonic()
         due, more = self._said.get(name, (-math.inf, 0))
         if now < due:

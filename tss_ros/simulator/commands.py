@@ -1,4 +1,4 @@
-"""Commands to actuators, and failures, over simulated time, as they are given."""
+"""Commands to thrusters and reels, and failures, over simulated time, as they are given."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from tss_ros.core import Commands, System, TssError
 from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.failures import Change, Happened
 from tss_ros.simulator.failures import FailureTable
+from tss_ros.simulator.reel_commands import ReelCommand, ReelEdge, ReelStart
+from tss_ros.simulator.reel_table import ReelTable
 
 #: Most commands that are kept besides those that hold.
 MOST_KEPT = 1000
@@ -56,22 +58,27 @@ class CommandTable:
     Parameters
     ----------
     system : System
+    start : ReelStart, optional
+        What reels do from time 0 on.
     """
 
     #: Simulated time [ns] after which a force ends that is not commanded anew; 0: never.
     timeout_ns = 0
 
-    def __init__(self, system: System) -> None:
-        self._system = system
+    def __init__(self, system: System, start: ReelStart | None = None) -> None:
+        self._system, self.reels = system, ReelTable(system, start)
+        self._made = None
         self._commands = {}  # by key
         self._waiting, self._lock = {}, threading.Lock()
         self._failures = FailureTable(system)
 
     def __bool__(self) -> bool:
-        return bool(self._commands or self._failures)
+        return bool(self._commands or self._failures or self.reels)
 
-    def post(self, command: Command) -> bool:
+    def post(self, command: Command | ReelCommand) -> bool:
         """Leave a command to be collected; false if too many are kept already."""
+        if isinstance(command, ReelCommand):
+            return self.reels.post(command)
         with self._lock:
             full = len(self._waiting) + len(self._commands) >= MOST_KEPT + self._system.n
             if full and command.key not in self._waiting:
@@ -88,7 +95,9 @@ class CommandTable:
         now_ns : int
             Simulation time [ns] of the newest state: what should have held before holds from here.
         """
-        if not self._waiting:
+        if self.reels.collect(now_ns):
+            self._made = None
+        elif not self._waiting:
             return False
         with self._lock:
             waiting, self._waiting = self._waiting, {}
@@ -99,7 +108,7 @@ class CommandTable:
         ordered = sorted(self._commands.values(), key=lambda c: c.time_ns)
         newest = {c.actuator: c for c in ordered if c.time_ns <= now_ns}
         kept = [c for c in ordered if c.time_ns > now_ns or newest[c.actuator] is c]
-        self._commands = {c.key: c for c in kept}
+        self._commands, self._made = {c.key: c for c in kept}, None
         return True
 
     def fail(self, failure: Happened, now_ns: int) -> None:
@@ -115,12 +124,12 @@ class CommandTable:
 
     def settle(self, now_ns: int) -> None:
         """Note what stuck thrusters give by now, before anything is changed."""
-        self._failures.settle(now_ns, self._edges())
+        self._failures.settle(now_ns, self._edges(), self._without_commands)
 
     def change(self, time_ns: int) -> Change:
         """What acts from a simulation time [ns] on, and what has failed by then."""
-        newest = Change(time_ns, Commands.none(self._system))
-        for change in self._failures.act_on(self._edges()):
+        newest = Change(time_ns, base := self._without_commands)
+        for change in self._failures.act_on(self._edges(), base):
             if change.time > time_ns:
                 break
             newest = change._replace(time=time_ns)
@@ -132,23 +141,24 @@ class CommandTable:
 
     def edges(self, now_ns: int) -> list[tuple[int, Commands]]:
         """When [ns] something changes from a time on, and what acts from then on."""
-        changes = self._failures.act_on(self._edges())
+        changes = self._failures.act_on(self._edges(), self._without_commands)
         return [change[:2] for change in changes if change.time >= now_ns]
 
     def shift(self, by_ns: int) -> None:
         """Move all in time, as the clock is set anew."""
         moved = [c._replace(time_ns=c.time_ns + by_ns) for c in self._commands.values()]
-        self._commands = {c.key: c for c in moved}
+        self._commands, self._made = {c.key: c for c in moved}, None
         self._failures.shift(by_ns)
+        self.reels.shift(by_ns)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it keeps, for a snapshot: times, places and frames, (k, 3); forces (k, 3).
 
-        Those of failures are `FailureTable.arrays`.
+        Those of failures are `FailureTable.arrays`, those of reels `ReelTable.arrays`.
         """
         commands = self._commands.values()
-        return self._failures.arrays | {
+        return self._failures.arrays | self.reels.arrays | {
             "when_and_where": np.array([c[:3] for c in commands], dtype=np.int64).reshape(-1, 3),
             "force_n": np.array([c.force_n for c in commands], dtype=float).reshape(-1, 3),
         }
@@ -161,19 +171,36 @@ class CommandTable:
                 raise TssError(f"there is no frame {frame} of bead or tether {place}")
         rows = zip(arrays["when_and_where"].tolist(), arrays["force_n"].tolist())
         commands = [Command(*whole, tuple(force)) for whole, force in rows]
-        self._waiting, self._commands = {}, {c.key: c for c in commands}
+        self._waiting, self._commands, self._made = {}, {c.key: c for c in commands}, None
         self._failures.arrays = arrays
+        self.reels.arrays = arrays
 
-    def _edges(self) -> Iterator[tuple[int, Commands]]:
+    @property
+    def _without_commands(self) -> Commands:
+        """What acts before all that is kept."""
+        acting = Commands.none(self._system)
+        for edge in self.reels.base:
+            acting.reel[edge.place] = edge.row
+        return acting
+
+    def _edges(self) -> list[tuple[int, Commands]]:
         """All instants [ns] at which something is commanded or ends, and what is from then on."""
+        if self._made is None or self._made[0] != self.timeout_ns:
+            self._made = self.timeout_ns, list(self._changes())
+        return self._made[1]
+
+    def _changes(self) -> Iterator[tuple[int, Commands]]:
         events = [(c.time_ns, 1, c) for c in self._commands.values()]
         if self.timeout_ns:
             forces = [c for c in self._commands.values() if c.frame != CUT]
             events += [(c.time_ns + self.timeout_ns, 0, c) for c in forces]
+        events += [(edge.time_ns, 1, edge) for edge in self.reels.edges]
         events.sort(key=lambda event: event[:2])  # what ends goes before what begins
-        acting, newest = Commands.none(self._system), {}
+        acting, newest = self._without_commands, {}
         for i, (time_ns, begins, command) in enumerate(events):
-            if command.frame == CUT:
+            if isinstance(command, ReelEdge):
+                acting.reel[command.place] = command.row
+            elif command.frame == CUT:
                 acting.cut[command.place] = True
             elif begins:
                 newest[command.place] = command

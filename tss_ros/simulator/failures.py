@@ -43,11 +43,15 @@ class FailureTable:
             raise TssError(f"{len(self._kept)} failures are kept already; it is not")
         self._kept.append(failure)
 
-    def act_on(self, edges: Iterable[tuple[int, Commands]]) -> Iterator[Change]:
-        """What acts at and from the times [ns] of commands and failures."""
-        return with_failures(self._system, edges, self._kept)
+    def act_on(
+        self, edges: Iterable[tuple[int, Commands]], before: Commands
+    ) -> Iterator[Change]:
+        """What acts at and from the times [ns] of commands and failures, and before all of them."""
+        return with_failures(self._system, edges, self._kept, before)
 
-    def settle(self, now_ns: int, edges: Iterable[tuple[int, Commands]]) -> None:
+    def settle(
+        self, now_ns: int, edges: Iterable[tuple[int, Commands]], before: Commands
+    ) -> None:
         """Note the forces of the thrusters that are stuck by now; forget what is past.
 
         Parameters
@@ -56,10 +60,12 @@ class FailureTable:
             Simulation time [ns] of the newest state.
         edges : iterable of (int, Commands)
             What is commanded, from the earliest force that may be stuck.
+        before : Commands
+            What acts before all of that.
         """
         if not self._kept:
             return
-        changes = {change.time: change.commands for change in self.act_on(edges)}
+        changes = {change.time: change.commands for change in self.act_on(edges, before)}
         newest, later = {}, []
         for failure in sorted(self._kept, key=lambda failure: failure.time):
             if failure.time > now_ns:

@@ -13,6 +13,8 @@ from tss_ros.ros.topics import Topic, create_publisher
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample
 
+#: The topic of a satellite's odometry.
+TOPIC = "{satellite}/odom"
 #: What odometry may be relative to besides a satellite, and the name of its frame.
 CENTRE_OF_MASS = "centre_of_mass"
 _TOPIC_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -298,7 +298,9 @@ class SimulationServices:
         offset_m, impulse_n_s = (
             np.array([v.x, v.y, v.z]) for v in (request.offset_m, request.impulse_n_s)
         )
-        velocity_m_s = impulse_n_s / system.mass_kg[index]
+        # Beads on its reel move with a satellite.
+        moved = self._control.simulation.index_out(index)
+        velocity_m_s = impulse_n_s / self._control.simulation.part_out.system.mass_kg[moved]
         for name, values, limit in (
             ("offset_m", offset_m, MAX_OFFSET_M),
             ("impulse_n_s over the bead's mass", velocity_m_s, MAX_VELOCITY_M_S),
@@ -324,8 +326,9 @@ class SimulationServices:
             )
         if seed < 0:
             raise TssError(f"seed is {seed}; allowed: a whole number from 0")
-        still = np.zeros_like(self._control.simulation.newest.position_m)
-        offset_m = disturbed(State(still, still), size, seed).position_m
+        part = self._control.simulation.part_out
+        still = np.zeros((part.beads.size, 3))
+        offset_m = disturbed(State(still, still), size, seed).position_m[part.carrier]
         return offset_m, 0.0, f"all: random offsets of norm {size:g} m, seed {seed}"
 
 

@@ -6,9 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core import Failure, State, System, disturbed, initial_state, tether_state
+from tss_ros.core import (
+    Failure,
+    State,
+    System,
+    TssError,
+    deployed_system,
+    disturbed,
+    initial_state,
+    tether_state,
+    whole_state,
+)
+from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.presentation import turn_in_words
+from tss_ros.simulator.commands import CommandTable
+from tss_ros.simulator.reel_commands import ReelStart, reel_names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +42,8 @@ class Setup:
         Tensions [N] before the disturbance.
     failures : tuple of Failure
         What is to fail.
+    reels : ReelStart or None
+        What reels do; None: all tethers are out.
     """
 
     options: dict
@@ -38,6 +53,7 @@ class Setup:
     reference_radius_m: np.ndarray
     tension_n: np.ndarray
     failures: tuple[Failure, ...] = ()
+    reels: ReelStart | None = None
 
     @classmethod
     def of(
@@ -47,6 +63,7 @@ class Setup:
         spin_rate_ratio: float,
         start: State | None = None,
         failures: tuple[Failure, ...] = (),
+        reels: ReelStart | None = None,
     ) -> "Setup":
         """Find the initial configuration, Eqs. (50)-(54), unless one is given, and disturb it.
 
@@ -58,6 +75,8 @@ class Setup:
         spin_rate_ratio : float
         start : State, optional
         failures : tuple of Failure
+        reels : ReelStart, optional
+            The formation then begins with so much of its tethers out.
 
         Returns
         -------
@@ -70,16 +89,34 @@ class Setup:
         """
         for failure in failures:
             failure.check(system)
-        steady = start or initial_state(system, spin_rate_ratio)
+        if reels and system.law_parameters[SHAPE_KEEPING.name]:
+            raise TssError(f"{SHAPE_KEEPING.name} keeps one shape; allowed with reels: 0")
+        acting = CommandTable(system, reels).at(0)
+        part = acting.part_out(system, 0.0)
+        if start is None:
+            lengths = dict(zip(reel_names(system), acting.lengths_out(0.0)[0].tolist()))
+            out = deployed_system(system, lengths)[0] if reels else system
+            start = initial_state(out, spin_rate_ratio)
+        else:
+            start = State(start.position_m[part.beads], start.velocity_m_s[part.beads])
+        moved = disturbed(start, options["disturbance_m"], options["disturbance_seed"])
+        steady = whole_state(part, start)
+        rests = acting.rests(system, 0.0)[0], np.zeros(system.m)
         return cls(
             options=options,
             system=system,
             spin_rate_ratio=spin_rate_ratio,
-            start=disturbed(steady, options["disturbance_m"], options["disturbance_seed"]),
+            start=whole_state(part, moved),
             reference_radius_m=np.linalg.norm(steady.position_m, axis=1),
-            tension_n=tether_state(system, steady.position_m, steady.velocity_m_s)[1],
+            tension_n=tether_state(system, steady.position_m, steady.velocity_m_s, rests)[1],
+            reels=reels,
             failures=failures,
         )
+
+    @property
+    def commands(self) -> CommandTable:
+        """What acts from outside on a run that is told nothing, as a table of its own."""
+        return CommandTable(self.system, self.reels)
 
     @property
     def publish_period_s(self) -> float:

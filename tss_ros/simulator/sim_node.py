@@ -30,6 +30,7 @@ from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
+from tss_ros.simulator.reel_commands import reel_start
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Simulation
@@ -47,8 +48,6 @@ RECORDER_SILENT_S = 3.0
 #: How long [s] a finished simulator waits for those who listen on each topic.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
-#: The topics of commands, one for each satellite.
-COMMANDS = "~/{satellite}/cmd_wrench"
 
 
 class SimNode(TssNode):
@@ -82,7 +81,7 @@ class SimNode(TssNode):
         simulation = Simulation(setup, self._options["turns"], wake.set)
         simulation.set_timeout(self._options["command_timeout_s"])
         self._commands = CommandTopics(
-            self, topics[COMMANDS], self._publisher[APPLIED], simulation, lambda: self._options
+            self, topics, self._publisher[APPLIED], simulation, lambda: self._options
         )
         self._flow = FlowControl(
             max(1, depth // 4), self.get_logger(), wake.set, self._options["recorder_patience_s"]
@@ -169,7 +168,9 @@ class SimNode(TssNode):
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
         check(self._options, built[0])
-        return Setup.of(self._options, *built, scenario.load(self._options["scenario"]).failures)
+        loaded = scenario.load(self._options["scenario"])
+        reels = reel_start(loaded, built[0])
+        return Setup.of(self._options, *built, failures=loaded.failures, reels=reels)
 
     # --- in the simulation's thread
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from tss_ros.core import Commands, State, TssError
 from tss_ros.core.model.failures import CUT, Change, FailureWatch, Happened
+from tss_ros.core.model.reels import Deployment
 from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.commands import CUT as CUT_FRAME
@@ -94,6 +95,11 @@ class Simulation:
         return self._commands.at(self.newest.time_ns)
 
     @property
+    def part_out(self) -> Deployment:
+        """The beads that are not on a reel at the newest state, and what they carry."""
+        return self.acting.part_out(self.setup.system, self.newest.time_ns / 1e9)
+
+    @property
     def ready(self) -> bool:
         """Whether `take` returns at once."""
         self._collect()
@@ -138,7 +144,7 @@ class Simulation:
         state = self._trajectory.take()
         self.newest = Sample(self._time_ns(self._trajectory.index), *state)
         if self._commands:
-            for time_ns, _ in self._edges(begun_ns):
+            for time_ns, _ in _edges(self._commands, begun_ns):
                 if time_ns < self.newest.time_ns:
                     self._tell(self._commands.change(time_ns))
         self._look()
@@ -191,10 +197,34 @@ class Simulation:
         self._change(State(newest.position_m + offset_m, newest.velocity_m_s + velocity_m_s))
 
     def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
-        """Give one bead a position [m] and a velocity [m/s], each of shape (3,)."""
+        """Give one bead a position [m] and a velocity [m/s], each of shape (3,).
+
+        Raises
+        ------
+        TssError
+            If it is on a reel, or would be where a neighbour is.
+        """
+        self.index_out(bead)
         state = State(self.newest.position_m.copy(), self.newest.velocity_m_s.copy())
         state.position_m[bead], state.velocity_m_s[bead] = position_m, velocity_m_s
         self._change(state)
+
+    def index_out(self, bead: int) -> int:
+        """Index of a bead among those that are out.
+
+        Raises
+        ------
+        TssError
+            If it is on a reel.
+        """
+        part, names = self.part_out, self.setup.system.bead_name
+        index = int(part.carrier[bead])
+        if part.beads[index] != bead:
+            raise TssError(
+                f"{names[bead]} is on a reel and rides with {names[part.beads[index]]};"
+                " allowed: beads that are out"
+            )
+        return index
 
     def save(self, file: str) -> None:
         """Write a snapshot.
@@ -241,7 +271,8 @@ class Simulation:
         if not 0 <= time_ns <= MAX_TIME_S * 1e9:
             raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
         start, since_ns = self.setup.start, place["since_ns"]
-        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns)
+        plan = _plan_of(self.setup, self._new_table(self.setup), 0, 0)
+        trajectory = Trajectory(self.setup, start, self._on_ready, since_ns, plan)
         trajectory.resume(checkpoint)
         try:
             state = trajectory.first(place["index"])
@@ -256,8 +287,9 @@ class Simulation:
         self._trajectory.close()
 
     def _begin_anew(self, setup, base_ns):
-        """Begin with what a setup says, and without commands but the failures of known times."""
+        """Begin with what a setup says, and without commands but its own and its failures."""
         table, self._watch = self._new_table(setup), FailureWatch(setup.system, setup.failures)
+        table.shift(base_ns)
         for failure in self._watch.timed():
             _note(table, failure._replace(time=base_ns + round(failure.time * 1e9)), base_ns)
         table.collect(base_ns)
@@ -265,12 +297,13 @@ class Simulation:
         self._look()
 
     def _new_table(self, setup):
-        commands = CommandTable(setup.system)
+        commands = setup.commands
         commands.timeout_ns = self._timeout_ns
         return commands
 
     def _begin(self, setup, state, commands, base_ns):
-        trajectory = Trajectory(setup, state, self._on_ready, base_ns)
+        plan = _plan_of(setup, commands, base_ns, base_ns)
+        trajectory = Trajectory(setup, state, self._on_ready, base_ns, plan)
         self.setup = setup
         self._continue(trajectory, commands, base_ns, trajectory.first())
 
@@ -278,8 +311,9 @@ class Simulation:
         """Go on from another state, which shows in the state after it."""
         first, second = self.setup.system.tether_ends.T
         length_m = np.linalg.norm(state.position_m[first] - state.position_m[second], axis=1)
-        for k in np.flatnonzero(length_m == 0.0):
-            system = self.setup.system
+        system = self.setup.system
+        out = self.part_out.segments
+        for k in out[length_m[out] == 0.0]:
             raise TssError(
                 f"{system.bead_name[first[k]]} and {system.bead_name[second[k]]} would be in one "
                 f"place; {system.tether_name[k]} between them has no direction there"
@@ -315,15 +349,10 @@ class Simulation:
             self._commands.collect(self.newest.time_ns)
             self._plan()
 
-    def _edges(self, from_ns):
-        """What acts from a time [ns] on, and all changes to come."""
-        return [(from_ns, self._commands.at(from_ns)), *self._commands.edges(from_ns + 1)]
-
     def _plan(self):
-        edges = self._edges(self.newest.time_ns) if self._commands else []
-        if edges:
-            base_ns = self._base_ns
-            self._trajectory.plan([(edge_s(self.setup, t - base_ns), c) for t, c in edges])
+        if self._commands:
+            plan = _plan_of(self.setup, self._commands, self.newest.time_ns, self._base_ns)
+            self._trajectory.plan(plan)
 
     def _tell(self, change, anew=False):
         """Keep for `take_changes` what acts, if that is news."""
@@ -347,3 +376,23 @@ def _note(table, failure, now_ns):
         table.fail(failure, now_ns)
     elif not table.post(Command(failure.time, failure.place, CUT_FRAME)):
         raise TssError("too many commands are kept; a tether cannot be cut")
+def _edges(commands, from_ns):
+    """What acts from a simulation time [ns] on, and all changes to come."""
+    return [(from_ns, commands.at(from_ns)), *commands.edges(from_ns + 1)]
+
+
+def _plan_of(setup, commands, from_ns, base_ns):
+    """The same in times [s] of a trajectory that begins at a simulation time [ns]."""
+    edges = _edges(commands, from_ns)
+    return [(edge_s(setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
+
+
+def _counted_from(base_ns, commands):
+    """Commands for a clock that begins at a simulation time [ns]."""
+    if not base_ns or not commands.unreels:
+        return commands
+    reel = np.array(commands.reel)
+    moves = reel[:, 2:].any(axis=1)
+    # Exact as far as whole nanoseconds are: a clock that is set anew changes no motion.
+    reel[moves, 0] = (np.rint(reel[moves, 0] * 1e9) - base_ns) / 1e9
+    return commands._replace(reel=reel)

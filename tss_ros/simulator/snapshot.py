@@ -26,6 +26,11 @@ _COMMANDS = {
     "failures": ("failures", (4,), np.int64),
     "stuck_force_n": ("failures", (3, 3), float),
     "due": ("declared", (), bool),
+    "reel_heads": ("reel commands", (4,), np.int64),
+    "reel_limits": ("reel commands", (3,), float),
+    "reel_points": ("points", (3,), float),
+    "reel_since_ns": ("reels", (), np.int64),
+    "reel_cubic": ("reels", (4,), float),
 }
 #: What the entries of a snapshot may need besides their numbers [B].
 MORE_BYTES = 2**20

@@ -16,7 +16,7 @@ from tss_ros.bags.wrenches import read_commands
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
-from tss_ros.core.model.failures import Change, FailureWatch, Happened, news_alone, with_failures
+from tss_ros.core.model.failures import Change, FailureWatch, Happened, with_failures
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, States, StepMessages, header, system_description
 from tss_ros.messages.topics import STATE_TOPICS, read_topics
@@ -26,6 +26,7 @@ from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import news
+from tss_ros.simulator.reel_commands import reel_start
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
 from tss_ros.simulator.trajectory import compute_states, edge_s
@@ -65,7 +66,7 @@ def simulate(
     commands : sequence of (int, Commands) or Change, optional
         Simulation times [ns] at which what acts from outside changes, and what acts from then on,
         as `bags.wrenches.read_commands` gives them: failures are among it, so that those of the
-        setup are not looked for. If it is not given, they are.
+        setup are not looked for. If it is not given, they are, and reels do what the setup says.
 
     Returns
     -------
@@ -107,9 +108,8 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     )
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
-    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
-    story = _Story(setup, commands)
-    propagator.command(story.plan)
+    story = _Story(setup, commands, last)
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=story.plan)
     longest = most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:
@@ -123,6 +123,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             if most == 1:
                 raise
             resume(propagator, before)
+            propagator.command(story.plan)
             most = 1  # what there is before the end goes into the bag state by state
             continue
         if kept := story.fail(states):
@@ -149,28 +150,45 @@ class _Story:
     ----------
     setup : Setup
     commands : sequence of (int, Commands) or Change, optional
-        What acts; the setup's failures if it is not given.
+        What acts; the setup's reels and failures if it is not given.
+    last : int
+        Number of the last state.
     """
 
-    def __init__(self, setup, commands):
-        self._setup, self._given = setup, [Change(*change) for change in commands or ()]
-        declared = setup.failures if commands is None else ()
-        self._watch = FailureWatch(setup.system, declared)
+    def __init__(self, setup, commands, last):
+        self._setup, self._end_s = setup, last * setup.publish_period_s
+        # What the setup itself has its reels do; after its beginning commands replace that.
+        own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
+        self._given = own if commands is None else [own[0], *commands]
+        self._watch = FailureWatch(setup.system, setup.failures if commands is None else ())
         self._happened = [h._replace(time=round(h.time * 1e9)) for h in self._watch.timed()]
         self._before, self._numbers, self._told = None, dict.fromkeys((APPLIED, EVENTS), 0), 0
 
     @property
     def _changes(self):
-        if not self._happened:
-            return self._given
-        return list(with_failures(self._setup.system, (), self._happened))
+        """What is news of all that acts; of one time the last counts."""
+        system, changes = self._setup.system, [Change(*change) for change in self._given]
+        if self._happened:
+            changes = with_failures(system, (c[:2] for c in changes), self._happened)
+        found = []
+        for change in changes:
+            if found and found[-1].time == change.time:
+                found.pop()
+            before = found[-1] if found else Change(0, Commands.none(system))
+            if change[1:] != before[1:]:
+                found.append(change)
+        return found
 
     @property
     def plan(self):
-        """For the integrator."""
-        return news_alone(
-            self._setup.system, [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
-        )
+        """For the integrator. With the last state all reels stop, wherever they led to."""
+        plan = [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        if plan and plan[-1][0] < self._end_s and plan[-1][1].unreels:
+            stopped = plan[-1][1].checked(self._setup.system)
+            stopped.reel[:] = 0.0
+            stopped.reel[:, 1] = plan[-1][1].lengths_out(self._end_s)[0]
+            plan.append((self._end_s, stopped))
+        return plan
 
     def fail(self, states):
         """Let fail what these states show the events for; how many of them to keep, 0 for all."""
@@ -282,7 +300,9 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(said, system, ratio, loaded.start(system), loaded.failures)
+    return Setup.of(
+        said, system, ratio, loaded.start(system), loaded.failures, reel_start(loaded, system)
+    )
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -19,6 +19,7 @@ from tss_ros.core import (
     System,
     orbit_elements,
 )
+from tss_ros.core.model.reel_plans import rests_over
 from tss_ros.messages.steps import States
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
 from tss_ros.simulator.setup import Setup
@@ -68,11 +69,8 @@ def compute_states(
     edges = [(-1.0, propagator.commands), *propagator.plan]
     sampled = propagator.sample(times_s, cancelled)
     time_ns = np.rint(times_s * 1e9).astype(np.int64)
-    states = States.of(setup.system, setup.reference_radius_m, time_ns, *sampled)
-    for edge, commands in edges:
-        after = np.flatnonzero(times_s > edge)[:, None]
-        states.tension_n[after, commands.cut], states.taut[after, commands.cut] = 0.0, False
-    return states
+    rests = rests_over(setup.system, edges, times_s)
+    return States.of(setup.system, setup.reference_radius_m, time_ns, *sampled, rests)
 
 
 def edge_s(setup: Setup, time_ns: int) -> float:
@@ -109,15 +107,23 @@ class Trajectory:
         Called, in any thread, when states have become ready.
     since_ns : int
         Simulation time [ns] of index 0, for the axes of forces from outside.
+    plan : list of (float, Commands)
+        What acts from index 0 on, and when [s] after that it changes.
     """
 
     def __init__(
-        self, setup: Setup, state: State, on_ready: Callable[[], None], since_ns: int
+        self,
+        setup: Setup,
+        state: State,
+        on_ready: Callable[[], None],
+        since_ns: int,
+        plan: list[tuple[float, Commands]],
     ) -> None:
         self._setup, self._on_ready, self.since_ns = setup, on_ready, since_ns
-        self._propagator = self._new_propagator(state)
+        self._start = state, plan
+        self._propagator = self._new_propagator()
         # What acts before the first edge that is to come or may be taken back, and these edges.
-        self._base, self._plan = self._propagator.commands, []
+        self._base, self._plan = self._propagator.commands, _news(plan[0][1], plan)
         self._cancelled = threading.Event()
         self._pool = ThreadPoolExecutor(max_workers=1)
         self._rows, self._future = deque(), None
@@ -177,7 +183,7 @@ class Trajectory:
 
     def checkpoint_here(self) -> Checkpoint:
         """A checkpoint at the newest state taken, so that no edge of the plan lies between."""
-        other = self._new_propagator(self._setup.start)
+        other = self._new_propagator()
         resume(other, self.checkpoint())
         other.command(self._plan)
         compute_states(self._setup, other, self.index, 1)
@@ -194,11 +200,7 @@ class Trajectory:
 
         What has been integrated ahead without knowing of it is given up.
         """
-        plan, acting = [], self._base
-        for edge, commands in [e for e in self._plan if e[0] < edges[0][0]] + edges:
-            if commands != acting:
-                plan.append((edge, commands))
-                acting = commands
+        plan = _news(self._base, [e for e in self._plan if e[0] < edges[0][0]] + edges)
         if plan == self._plan:
             return
         self._interrupt()
@@ -216,12 +218,13 @@ class Trajectory:
         self._cancelled.set()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _new_propagator(self, state):
-        setup, since_s = self._setup, self.since_ns / 1e9
+    def _new_propagator(self):
+        setup, since_s, (state, plan) = self._setup, self.since_ns / 1e9, self._start
         system = begun_at(setup.system, since_s)
         # The same spin over another Omega, if J2 has changed the elements.
         spin = setup.spin_rate_ratio * setup.system.orbit_rate_rad_s
-        return Propagator(system, spin / system.orbit_rate_rad_s, state, since_s=since_s)
+        ratio = spin / system.orbit_rate_rad_s
+        return Propagator(system, ratio, state, since_s=since_s, plan=plan)
 
     def _interrupt(self):
         if self._future is not None and not self._future.cancel():
@@ -253,3 +256,13 @@ class Trajectory:
         states = compute_states(self._setup, self._propagator, first, count, self._cancelled.is_set)
         end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(states, end, time.monotonic() - begun)
+
+
+def _news(acting, edges):
+    """The edges at which something else comes to act."""
+    found = []
+    for edge, commands in edges:
+        if commands != acting:
+            found.append((edge, commands))
+            acting = commands
+    return found

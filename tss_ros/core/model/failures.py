@@ -139,6 +139,7 @@ def with_failures(
     system: System,
     edges: Iterable[tuple[float, Commands]],
     happened: Sequence[Happened],
+    before: Commands | None = None,
 ) -> Iterator[Change]:
     """What acts once failures are taken into account.
 
@@ -152,6 +153,8 @@ def with_failures(
         Times, and what is commanded from then on.
     happened : sequence of Happened
         Of one time and actuator the last one counts.
+    before : Commands, optional
+        What acts before the first of these times; nothing if not given.
 
     Yields
     ------
@@ -159,7 +162,7 @@ def with_failures(
     """
     first = [(time, 0, commands) for time, commands in edges]
     merged = sorted(first + [(h.time, 1, h) for h in happened], key=lambda event: event[:2])
-    commanded, cut, failed = Commands.none(system), set(), {}
+    commanded, cut, failed = before or Commands.none(system), set(), {}
     for time, group in itertools.groupby(merged, key=lambda event: event[0]):
         for _, is_failure, event in group:
             if not is_failure:

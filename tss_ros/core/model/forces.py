@@ -283,7 +283,8 @@ def tether_state(
     system : System
     position_m, velocity_m_s : ndarray, shape (..., n, 3)
     rests : tuple of two ndarray, shape (..., m), optional
-        Rest lengths [m] and their rates [m/s] where reels have changed them, `Commands.rests`.
+        Rest lengths [m] and their rates [m/s] where reels have changed them, `Commands.rests`;
+        a length of 0 for what pulls nothing, as it is on a reel or cut.
 
     Returns
     -------
@@ -297,20 +298,16 @@ def tether_state(
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
     arrays = kernel_arrays(system, 0.0)
     if rests is None:
-        taut, there = length > system.rest_length_m, True  # Eq. (5)
+        rests = system.rest_length_m, 0.0
     else:
-        rest, unreeling = rests
-        out = rest > 0.0
-        there = out & (rest < NEVER_M)
-        share = system.rest_length_m / np.where(out, rest, system.rest_length_m)
-        arrays = arrays._replace(
-            rest=rest, stiffness=share * arrays.stiffness, damping=share * arrays.damping
-        )
-        taut, growth = out & (length > rest), growth - unreeling
+        arrays = _with_rests(arrays, system, rests[0])
+    out = rests[0] > 0.0
+    taut, growth = out & (length > rests[0]), growth - rests[1]  # Eq. (5)
     pull, _ = tension_and_slopes(arrays, length, growth)
     if not system.law.pushes:
         pull = np.maximum(pull, 0.0)
-    return length, np.where(taut | (there & system.bilateral), pull, 0.0), taut
+    pushes = out & (rests[0] < NEVER_M) & system.bilateral
+    return length, np.where(taut | pushes, pull, 0.0), taut
 
 
 def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
@@ -323,12 +320,28 @@ def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndar
 
 
 @checked
-def elastic_energy(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
-    """Elastic energy [J] of all taut tethers together; shapes as `tether_state`, result (...)."""
+def elastic_energy(
+    system: System,
+    position_m: np.ndarray,
+    velocity_m_s: np.ndarray,
+    rests: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Elastic energy [J] of all taut tethers together, shape (...); all else as `tether_state`."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
-    arrays = kernel_arrays(system, 0.0)
+    arrays, out = kernel_arrays(system, 0.0), True
+    if rests is not None:
+        arrays, out = _with_rests(arrays, system, rests[0]), rests[0] > 0.0
+        growth = growth - rests[1]
     energy = energy_of_arrays(arrays, length, growth, arrays.rest, arrays.stiffness, arrays.damping)
-    return np.sum(np.where((length > arrays.rest) | system.bilateral, energy, 0.0), axis=-1)
+    taut = out & ((length > arrays.rest) | system.bilateral)
+    return np.sum(np.where(taut, energy, 0.0), axis=-1)
+
+
+def _with_rests(arrays, system, rest):
+    """Kernels' arrays for other rest lengths [m], (..., m); 0 on a reel."""
+    share = system.rest_length_m / np.where(rest > 0.0, rest, system.rest_length_m)
+    stiffness, damping = share * arrays.stiffness, share * arrays.damping
+    return arrays._replace(rest=rest, stiffness=stiffness, damping=damping)
 
 
 @checked

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.commands import Commands
-from tss_ros.core.model.reels import NEVER_M, reel_index
+from tss_ros.core.model.reels import reel_index
 from tss_ros.core.model.system import System, numbers
 
 
@@ -120,15 +120,16 @@ def rests_over(
     Returns
     -------
     rest_length_m, rest_rate_m_s : ndarray, shape (k, m)
-        [m], `reels.NEVER_M` for a tether that is cut; and [m/s].
+        [m] and [m/s]; both are 0 for segments that are on a reel or cut.
     """
     rests = Commands.none(system).rests(system, times_s)
-    for edge, commands in plan:
-        after = times_s > edge
-        for part, values in zip(rests, commands.rests(system, times_s[after])):
-            part[after] = values
-        for part, value in zip(rests, (NEVER_M, 0.0)):
-            part[np.ix_(after, commands.cut)] = value
+    firsts = np.searchsorted(times_s, [edge for edge, _ in plan], side="right").tolist()
+    for (_, commands), first, end in zip(plan, firsts, [*firsts[1:], times_s.size]):
+        if first == end:
+            continue
+        for part, values in zip(rests, commands.rests(system, times_s[first:end])):
+            part[first:end] = values
+            part[first:end, commands.cut] = 0.0
     return rests
 
 
