@@ -314,16 +314,10 @@ def simulate(
     turns = finite("turns", turns, above=0.0)
     turn_s = system.period_s(spin_rate_ratio)
     between = turn_s / SAMPLES if period_s is None else finite("period_s", period_s, above=0.0)
-    # A state that falls on the end counts, whatever rounding does.
-    most, count = MOST_BEAD_STEPS // system.n, turns * turn_s / between * (1.0 + 1e-12)
-    if count >= most:
-        raise TssError(
-            f"{turns:g} turns hold {count:.4g} states {between:g} s apart; allowed: at most {most}"
-        )
+    t_s = _times(turns, turn_s, between, MOST_BEAD_STEPS // system.n)
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
     propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator, plan=plan)
-    t_s = np.arange(math.floor(count) + 1) * between
     position_m, velocity_m_s = propagator.sample(t_s, cancelled)
     rests = rests_over(system, plan, t_s)
     length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
@@ -343,6 +337,17 @@ def simulate(
         rest_rates_m_s=rests[1],
         switches=propagator.switches,
     )
+
+
+def _times(turns, turn_s, between, most):
+    """Times [s] of the states of so many turns, of which one may have fewer than `most`."""
+    # A state that falls on the end counts, whatever rounding does.
+    count = turns * turn_s / between * (1.0 + 1e-12)
+    if count >= most:
+        raise TssError(
+            f"{turns:g} turns hold {count:.4g} states {between:g} s apart; allowed: at most {most}"
+        )
+    return np.arange(math.floor(count) + 1) * between
 
 
 def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:
