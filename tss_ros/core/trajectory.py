@@ -325,15 +325,9 @@ def simulate(
     turns = finite("turns", turns, above=0.0)
     turn_s = system.period_s(spin_rate_ratio)
     between = turn_s / SAMPLES if period_s is None else finite("period_s", period_s, above=0.0)
-    # A state that falls on the end counts, whatever rounding does.
-    most, count = MOST_BEAD_STEPS // system.n, turns * turn_s / between * (1.0 + 1e-12)
-    if count >= most:
-        raise TssError(
-            f"{turns:g} turns hold {count:.4g} states {between:g} s apart; allowed: at most {most}"
-        )
+    t_s = _times(turns, turn_s, between, MOST_BEAD_STEPS // system.n)
     undisturbed = state or initial_state(system, spin_rate_ratio)
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
-    t_s = np.arange(math.floor(count) + 1) * between
     again = functools.partial(Propagator, system, spin_rate_ratio, start, rtol, integrator)
     found = _with_failures(system, again, (plan, failures), t_s, cancelled)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
@@ -375,6 +369,17 @@ def _with_failures(system, again, acting, t_s, cancelled):
         "rest_rates_m_s": rests[1],
         "switches": propagator.switches,
     }
+
+
+def _times(turns, turn_s, between, most):
+    """Times [s] of the states of so many turns, of which one may have fewer than `most`."""
+    # A state that falls on the end counts, whatever rounding does.
+    count = turns * turn_s / between * (1.0 + 1e-12)
+    if count >= most:
+        raise TssError(
+            f"{turns:g} turns hold {count:.4g} states {between:g} s apart; allowed: at most {most}"
+        )
+    return np.arange(math.floor(count) + 1) * between
 
 
 def _one_of(name: str, value: object, allowed: Mapping[str, str] | tuple[str, ...]) -> None:

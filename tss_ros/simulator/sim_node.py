@@ -169,8 +169,8 @@ class SimNode(TssNode):
         built = systems.build_system(*systems.split_options(self._options))
         check(self._options, built[0])
         loaded = scenario.load(self._options["scenario"])
-        reels = reel_start(loaded, built[0])
-        return Setup.of(self._options, *built, failures=loaded.failures, reels=reels)
+        more = {"failures": loaded.failures, "reels": reel_start(loaded, built[0])}
+        return Setup.of(self._options, *built, **more)
 
     # --- in the simulation's thread
 

@@ -109,7 +109,9 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
     story = _Story(setup, commands, last)
-    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=story.plan)
+    begun = [(0.0, setup.commands.at(0))]
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=begun)
+    propagator.command(story.plan)
     longest = most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
     while first <= last:

@@ -54,7 +54,7 @@ def commanded_acceleration(
     arrays = orbit.arrays(0.0) if orbit else kernel_arrays(part.system, 0.0)
     arrays = with_feedback(arrays, part.system, spin)
     arrays = commands.in_arrays(arrays, part, spin, time_s=time_s)
-    rests = [x[part.segments] for x in commands.rests(system, time_s)]
+    rests = tuple(x[part.segments] for x in commands.rests(system, time_s))
     taut = forces.tether_state(part.system, r, v, rests)
     cut = commands.cut[part.segments]
     taut = (taut[2] | system.bilateral) & ~cut & (system.law.pushes | (taut[1] > 0.0))
