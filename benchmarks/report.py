@@ -168,7 +168,8 @@ def _formations(results):
         " 51.6 degrees that feels J2, two turns at -2.2 through slack/taut switches (10 m, C = 1)."
         " heyoka in inertial axes integrates the centre's orbit beside the beads and shares neither"
         " frames nor orbits nor forces with this package; CVODE and CyRK take its compiled"
-        " equations.",
+        " equations. On orbits that are no circles this package has implicit steps only, which cost"
+        " more than series where damping is weak and tethers switch often.",
         "",
         *_table(motions),
         "",
