@@ -1,6 +1,6 @@
 """One command that measures everything: `make benchmarks`, or in an activated shell
 
-    tss bench [--only motion ensemble monodromy growth sweep middleware recording]
+    tss bench [--only motion formations ensemble monodromy growth sweep middleware recording]
 
 writes benchmarks.json, benchmarks.md and benchmarks.png; sections that are not measured now keep
 what benchmarks.json says of them.
@@ -19,7 +19,16 @@ from benchmarks.processes import ROOT, environment, machine, measured, peers_pyt
 from benchmarks.worker import solvers_of
 from tss_ros.command_line import Parser
 
-SECTIONS = ("motion", "ensemble", "monodromy", "growth", "sweep", "middleware", "recording")
+SECTIONS = (
+    *("motion", "formations", "ensemble", "monodromy"),
+    *("growth", "sweep", "middleware", "recording"),
+)
+#: Sections that compare solvers case by case.
+COMPARED = {
+    "motion": (*problems.MOTIONS, *problems.LAW_MOTIONS, *problems.LONG_MOTIONS),
+    "formations": (*problems.OTHER_MOTIONS, *problems.OTHER_TURNS),
+    "monodromy": (*problems.TURNS, *problems.LONG_TURNS),
+}
 #: Case whose first answer in a fresh process is measured, and by whom.
 FIRST_CASE, FIRST = "A100", ("tss_ros", "heyoka, orbit frame")
 #: Compiling all of the integrator afresh takes minutes on a busy machine.
@@ -66,13 +75,10 @@ def first_answers(python):
 def section(name, python, options):
     """Measure one section."""
     wanted = options.cases or list(problems.CASES)
-    if name == "motion":
-        motions = (*problems.MOTIONS, *problems.LAW_MOTIONS, *problems.LONG_MOTIONS)
-        cases = [case for case in motions if case in wanted]
-        return {"cases": compare(python, cases, options), "first_answer": first_answers(python)}
-    if name == "monodromy":
-        cases = [c for c in (*problems.TURNS, *problems.LONG_TURNS) if c in wanted]
-        return {"cases": compare(python, cases, options)}
+    if name in COMPARED:
+        cases = [case for case in COMPARED[name] if case in wanted]
+        found = {"cases": compare(python, cases, options)}
+        return found | ({"first_answer": first_answers(python)} if name == "motion" else {})
     own = {"middleware": sys.executable, "recording": sys.executable}
     module = {"sweep": "sweeping"}.get(name, name)
     if not (ROOT / "benchmarks" / f"{module}.py").is_file():
@@ -114,7 +120,7 @@ def main():
             continue
         about["load_after"] = machine(python)["load"]
         about["took_s"] = round(time.monotonic() - begun, 1)
-        partial = name in ("motion", "monodromy") and (options.cases or options.solvers)
+        partial = name in COMPARED and (options.cases or options.solvers)
         if partial and name in results:
             for case, rows in found["cases"].items():
                 results[name]["cases"].setdefault(case, {}).update(rows)

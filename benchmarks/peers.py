@@ -17,11 +17,11 @@ ON_EDGE = 1e-7
 class Compiled:
     """The equations of a problem as compiled functions of time and state (6n,), velocities first.
 
+    In the turning frame.
+
     Parameters
     ----------
     problem : Problem
-    spin : float
-        Rate [rad/s] of the frame: that of the problem, or 0 for the orbit frame.
 
     Attributes
     ----------
@@ -35,8 +35,13 @@ class Compiled:
         Both `by_length` and `derivative`.
     """
 
-    def __init__(self, problem, spin):
-        arrays = kernel_arrays(problem.system, spin)
+    def __init__(self, problem):
+        if problem.reference:
+            arrays = problem.reference.arrays(problem.turning_rate)
+            if not problem.reference.repeats:
+                arrays = problem.reference.with_table(arrays, 0.0, problem.end_s)
+        else:
+            arrays = kernel_arrays(problem.system, problem.turning_rate)
         n, size = problem.n, 3 * problem.n
         acceleration, stretch, jacobian = forces.acceleration, forces.stretch, forces.jacobian
         symbolic = block_lu.analyse(n, problem.system.tether_ends)
@@ -101,8 +106,8 @@ class Compiled:
 
 @functools.cache
 def compiled(problem):
-    """The equations in the turning frame, compiled once for all tolerances."""
-    return Compiled(problem, problem.spin)
+    """The equations, compiled once for all tolerances."""
+    return Compiled(problem)
 
 
 def scipy_compiled(problem, tolerance, method):

@@ -3,9 +3,10 @@
     python -m benchmarks.references [--renew] [CASE ...]
 
 computes them afresh, prints how far they are from the stored ones and from each other, and with
---renew stores them. Of the 3-star the reference is heyoka's Taylor method in 80-bit arithmetic at
-tolerance 1e-18, beside its run at 1e-15 and this package's integrator. Beads in the tethers are too
-stiff for it: there it is this package's integrator with nine stages, beside CVODE and Radau.
+--renew stores them. The reference is heyoka's Taylor method in 80-bit arithmetic at tolerance
+1e-18, beside its run at 1e-15 and this package's integrator; of other formations and orbits in
+inertial axes, beside the centre's orbit. Beads in the tethers are too stiff for it: there it is
+this package's integrator with nine stages, beside CVODE and Radau.
 """
 
 import argparse
@@ -32,16 +33,20 @@ def stored():
 def compute(case):
     """The reference of a case and its distances from others."""
     problem = problems.Problem(case)
-    turn = case in problems.TURNS or case in problems.LONG_TURNS
+    turn = case in problems.ALL_TURNS
+    elsewhere = {**problems.OTHER_MOTIONS, **problems.OTHER_TURNS}
     ours = solvers.our_monodromy if turn else solvers.ours
     finest = ours(problem, 1e-13, stages=9)
     others = {}
     if turn:
         others["ours 1e-12, 3 segments"] = ours(problem, 1e-12, segments=3)
-    if problem.n == 3:
+    if problem.n == 3 or case in elsewhere:
         make = heyoka_peer.monodromy if turn else heyoka_peer.motion
-        best, source = make(problem, 1e-18, real=np.longdouble)(), "heyoka, 80 bits, 1e-18"
-        others["heyoka, 80 bits, 1e-15"] = make(problem, 1e-15, real=np.longdouble)
+        kind = {"frame": "inertial"} if case in elsewhere else {}
+        wide = {"real": np.longdouble, **kind}
+        source = ", ".join(("heyoka", *kind.values(), "80 bits, 1e-18"))
+        best = make(problem, 1e-18, **wide)()
+        others["heyoka, 80 bits, 1e-15"] = make(problem, 1e-15, **wide)
         others["ours, nine stages, 1e-13"] = finest
     else:
         best, source = finest(), "ours, nine stages, 1e-13"
@@ -57,8 +62,19 @@ def compute(case):
             kept["matrix"] = np.asarray(best, dtype=float).tolist()
     else:
         kept["position_m"], kept["velocity"] = (np.asarray(x, float).tolist() for x in best)
-    kept["distance"] = {name: apart(problem, kept, run()) for name, run in others.items()}
+    found = {name: run() for name, run in others.items()}
+    kept["distance"] = {name: apart(problem, kept, result) for name, result in found.items()}
+    if "matrix" in kept:
+        kept["matrix_distance"] = {
+            name: matrices_apart(result, kept["matrix"]) for name, result in found.items()
+        }
     return kept
+
+
+def matrices_apart(matrix, reference):
+    """Largest difference of two matrices, over the largest entry of the second."""
+    exact = np.array(reference)
+    return float(np.abs(matrix - exact).max() / np.abs(exact).max())
 
 
 def apart(problem, reference, result):
@@ -79,6 +95,8 @@ def main():
     for case in options.cases:
         kept, fresh = stored(), compute(case)
         told = [f"{name} {distance:.1e}" for name, distance in fresh["distance"].items()]
+        more = fresh.get("matrix_distance", {})
+        told += [f"matrix of {name} {distance:.1e}" for name, distance in more.items()]
         if case in kept and not options.renew:
             if "modulus" in fresh:
                 change = abs(fresh["modulus"] - kept[case]["modulus"])

@@ -68,6 +68,12 @@ LAW_MOTION = {
         *("CVODE Adams", "CyRK DOP853", "scipy DOP853, compiled"),
     )
 }
+ORBIT_MOTION = {
+    OURS: MOTION[OURS],
+    "heyoka, inertial": _peer(heyoka_peer.motion, True, tightest=16, frame="inertial"),
+    **{name: MOTION[name] for name in ("CVODE BDF", "CyRK Radau", "CyRK DOP853")},
+}
+FORMATION_MOTION = {**ORBIT_MOTION, "heyoka, orbit frame": MOTION["heyoka, orbit frame"]}
 LONG_MOTION = {
     OURS: MOTION[OURS],
     "CVODE BDF": MOTION["CVODE BDF"],
@@ -87,6 +93,15 @@ MONODROMY = {
     "differences, CyRK Radau": _peer(
         variations.differences, False, 11, 14, motion=peers.cyrk, method="Radau"
     ),
+}
+ORBIT_MONODROMY = {
+    OURS: MONODROMY[OURS],
+    "heyoka, inertial, variational": _peer(heyoka_peer.monodromy, True, frame="inertial"),
+    **{name: MONODROMY[name] for name in ("scipy LSODA, augmented", "scipy DOP853, augmented")},
+}
+FORMATION_MONODROMY = {
+    **ORBIT_MONODROMY,
+    **{name: MONODROMY[name] for name in ("heyoka, variational", "differences, CyRK Radau")},
 }
 LONG_MONODROMY = {
     OURS: MONODROMY[OURS],

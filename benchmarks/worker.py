@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from benchmarks import problems, solvers
-from benchmarks.references import stored
+from benchmarks.references import matrices_apart, stored
 
 #: A matrix further than this from the reference, relative to its largest entry, is wrong.
 MATRIX_ERROR = 1e-5
@@ -28,8 +28,12 @@ def solvers_of(case):
     for cases, table in (
         (problems.MOTIONS, solvers.MOTION),
         (problems.LAW_MOTIONS, solvers.LAW_MOTION),
+        (problems.FORMATION_MOTIONS, solvers.FORMATION_MOTION),
+        (problems.ORBIT_MOTIONS, solvers.ORBIT_MOTION),
         (problems.LONG_MOTIONS, solvers.LONG_MOTION),
         (problems.TURNS, solvers.MONODROMY),
+        (problems.FORMATION_TURNS, solvers.FORMATION_MONODROMY),
+        (problems.ORBIT_TURNS, solvers.ORBIT_MONODROMY),
         (problems.LONG_TURNS, solvers.LONG_MONODROMY),
     ):
         if case in cases:
@@ -44,8 +48,7 @@ def judge(problem, result, reference):
     wanted = reference["modulus"]
     errors = {"error": abs(problems.largest_modulus(result) - wanted) / max(1.0, wanted)}
     if "matrix" in reference:
-        exact = np.array(reference["matrix"])
-        errors["matrix_error"] = float(np.abs(result - exact).max() / np.abs(exact).max())
+        errors["matrix_error"] = matrices_apart(result, reference["matrix"])
     return errors
 
 

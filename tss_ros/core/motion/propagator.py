@@ -256,7 +256,7 @@ class Integrator:
                 some = min(steps, STEPS_ON_TABLE)
                 last = motion.time + 1.1 * some * self.settings.longest
                 arrays = self._on_table(motion.time, min(last, stop))
-            sampled = motion.progress["sampled"][0]
+            sampled = motion.progress["sampled"][0] if self.orbit else 0
             status = integrate.advance(
                 arrays,
                 self.symbolic,
