@@ -173,3 +173,15 @@ def test_beads_on_a_reel_ride_with_their_satellite():
         for r, count in zip(position_m, out):
             inside = list(reel.beads[1 : len(reel.segments) - count + 1])
             assert (r[inside] == r[reel.beads[0]]).all()
+
+
+def test_a_motion_that_begins_on_its_reels_has_the_rest_lengths_of_its_plan():
+    alone, part = core.deployed_system(BEADED, 5e3)
+    start = core.whole_state(part, core.initial_state(alone, -2.9))
+    profile = reel_profile([0.0, 100.0], [5e3, 5e3])
+    plan = reel_plan(BEADED, {reel.name: profile for reel in reels(BEADED)})
+    motion = core.simulate(BEADED, -2.9, turns=0.01, period_s=4.0, state=start, plan=plan)
+    np.testing.assert_allclose(motion.rests_m.reshape(-1, 3, 5).sum(axis=2), 5e3, rtol=1e-14)
+    out = motion.rests_m > 0.0
+    assert motion.taut[out].all() and not motion.tension_n[~out].any()
+    np.testing.assert_allclose(motion.energy_j, motion.energy_j[0], rtol=1e-5)

@@ -113,7 +113,7 @@ def rests_over(
     ----------
     system : System
     plan : sequence of (float, Commands)
-        What acts from outside, and after which times [s].
+        What acts from outside, and after which times [s]; of those up to 0 the last one counts.
     times_s : ndarray, shape (k,)
         Increasing.
 
@@ -123,7 +123,9 @@ def rests_over(
         [m] and [m/s]; both are 0 for segments that are on a reel or cut.
     """
     rests = Commands.none(system).rests(system, times_s)
-    firsts = np.searchsorted(times_s, [edge for edge, _ in plan], side="right").tolist()
+    # A motion begins with what acts from time 0 on.
+    edges = [edge if edge > 0.0 else -np.inf for edge, _ in plan]
+    firsts = np.searchsorted(times_s, edges, side="right").tolist()
     for (_, commands), first, end in zip(plan, firsts, [*firsts[1:], times_s.size]):
         if first == end:
             continue
