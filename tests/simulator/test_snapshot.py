@@ -11,7 +11,15 @@ RING = ring(satellite_mass_kg=100.0)
 #: So slow that tethers go slack again and again: steps of both kinds are made.
 RATIO = -1.6
 PLACE = {"index": 9, "base_ns": 5, "since_ns": 3}
-COMMANDS = {"when_and_where": np.array([[10, 1, 2], [20, 0, -1]]), "force_n": np.ones((2, 3))}
+COMMANDS = {
+    "when_and_where": np.array([[10, 1, 2], [20, 0, -1]]),
+    "force_n": np.ones((2, 3)),
+    "reel_heads": np.array([[30, 2, 0, 1]]),
+    "reel_limits": np.array([[1.0, 1.0, 0.0]]),
+    "reel_points": np.array([[5.0, 0.0, -0.5]]),
+    "reel_since_ns": np.array([0, 7, 9]),
+    "reel_cubic": np.array(3 * [[9e3, 0.5, 0.0, 0.0]]),
+}
 
 
 @pytest.fixture
@@ -81,7 +89,7 @@ def test_other_versions_are_refused_by_number(written, tmp_path, version, shown)
     other = changed(file, tmp_path, format_version=version)
     with pytest.raises(TssError) as caught:
         snapshot.read(other, identity, kept, furthest=256)
-    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 4"
+    assert str(caught.value) == f"snapshot {other!r} has format version {shown}; allowed: 5"
 
 
 def test_a_missing_entry_is_damage(written, tmp_path):
