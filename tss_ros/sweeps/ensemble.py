@@ -125,6 +125,10 @@ class EnsembleQuestion:
             raise TssError("critical rates lie between two rates; there is only one")
         self.critical = critical
         loaded = scenario.load(scenario_name)
+        if loaded.reels:
+            raise TssError(
+                f"scenario {scenario_name!r} begins on reels; allowed: one whose tethers are all out"
+            )
         self.system = loaded.build(self.overrides)
         self._start = loaded.start(self.system)
         far = LOST * np.max(np.linalg.norm(self.system.layout_m, axis=1))
