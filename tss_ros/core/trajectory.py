@@ -319,7 +319,9 @@ def simulate(
     start = disturbed(undisturbed, disturbance_m, seed) if disturbance_m else undisturbed
     propagator = Propagator(system, spin_rate_ratio, start, rtol, integrator, plan=plan)
     position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-    rests = rests_over(system, plan, t_s)
+    # A motion begins with what acts from time 0 on.
+    edges = [(edge if edge > 0.0 else -1.0, commands) for edge, commands in plan]
+    rests = rests_over(system, edges, t_s)
     length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
     radius_m = np.linalg.norm(undisturbed.position_m, axis=1)
     return Trajectory(

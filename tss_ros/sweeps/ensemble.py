@@ -127,7 +127,7 @@ class EnsembleQuestion:
         loaded = scenario.load(scenario_name)
         if loaded.reels:
             raise TssError(
-                f"scenario {scenario_name!r} begins on reels; allowed: one whose tethers are all out"
+                f"scenario {scenario_name!r} begins on reels; allowed: one with all tethers out"
             )
         self.system = loaded.build(self.overrides)
         self._start = loaded.start(self.system)
