@@ -191,4 +191,6 @@ def energy(system, t_s, position_m, velocity_m_s, length_m, taut):
         velocity_m_s=velocity_m_s,
         length_m=length_m,
         taut=taut,
+        rests_m=np.tile(system.rest_length_m, (len(t_s), 1)),
+        rest_rates_m_s=np.zeros_like(length_m),
     ).energy_j

@@ -65,6 +65,8 @@ def record(directory, system, turns=1.0):
         length_m=length_m,
         tension_n=tension_n,
         taut=taut,
+        rests_m=np.tile(system.rest_length_m, (len(t_s), 1)),
+        rest_rates_m_s=np.zeros_like(length_m),
     )
 
 
@@ -166,6 +168,7 @@ def test_a_bag_made_before_is_of_the_papers_law(old):
     assert result.tether_law == "kelvin_voigt" and math.isnan(result.pushing_share)
     assert (result.verdict, result.switches, result.confirmation[0].switches) == ("neutral", 3, 7)
     assert isinstance(recording, Recording) and np.isfinite(recording.energy_j).all()
+    assert (recording.rests_m == 10.0).all() and not recording.rest_rates_m_s.any()
 
 
 def test_commands_read_a_bag_made_before(old, tmp_path, capsys):

@@ -41,6 +41,13 @@ ASKED = {
         "least_m": "np.nanmin(least_stretch_m)",
         "missing": "rates[np.isnan(least_stretch_m[:, 0])].min() - critical[0].spin_rate_ratio",
     },
+    "plot_deployment": {
+        "spin": "[spin.min(), spin.max()]",
+        "held": "list(held.values())",
+        "tension_n": "[least_n.min(), most_n.max()]",
+        "taut": "motion.taut.all()",
+        "length_m": "[motion.rests_m[0, 0], motion.rests_m.max(), motion.rests_m[-1, 0]]",
+    },
     "plot_two_parameter_chart": {"damping": "sampled", "critical": "critical", "fit": "fitting"},
     "plot_recorded_run": {
         "rows": "[len(beads), len(tethers), len(recording.step)]",
@@ -233,3 +240,10 @@ def test_formations_of_the_literature_are_answered_for(values):
     # The odd libration of a rigid dumbbell at e = 0.1.
     assert values["largest_deg"] == pytest.approx(5.956, abs=0.01)
     assert values["growth"][0] < 3.0 * values["growth"][1]
+
+
+@of("plot_deployment")
+def test_a_deployed_ring_stays_taut_and_spins_as_thrusters_balance_coriolis(values):
+    assert values["taut"] and 0.0 < values["tension_n"][0] < 0.002 < values["tension_n"][1] < 3.0
+    np.testing.assert_allclose(values["spin"], sorted(values["held"]), atol=1e-3)
+    np.testing.assert_allclose(values["length_m"], [100.0, 10e3, 100.0], rtol=1e-4)

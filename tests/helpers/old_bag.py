@@ -7,6 +7,8 @@ from tss_interfaces.msg import Confirmation, FloquetResult
 
 #: Fields that came with the laws.
 LATER = ("tether_law", "law_parameter_name", "law_parameter", "pushing_share")
+#: Fields of TetherStates that came with reels.
+LATER_OF_TETHERS = ("rest_length_m", "rest_rate_m_s")
 RESULT = FloquetResult(
     spin_rate_ratio=-2.0,
     family=["spin", "shape"],
@@ -25,7 +27,8 @@ class OldBag(Bag):
 
     def definition(self, topic):
         lines = topic.definition.splitlines()
-        return "\n".join(line for line in lines if line.split()[1:2] not in [[n] for n in LATER])
+        later = LATER + LATER_OF_TETHERS * topic.type.endswith("TetherStates")
+        return "\n".join(line for line in lines if line.split()[1:2] not in [[n] for n in later])
 
     def write(self, name, message, time_ns):
         topic = TOPICS[name]

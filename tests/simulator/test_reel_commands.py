@@ -1,11 +1,12 @@
 """Plans of reels from commands: against closed forms, and that nothing depends on what is kept."""
 
 import math
+import threading
 
 import numpy as np
 import pytest
 
-from tss_ros.core import TssError, ring
+from tss_ros.core import Propagator, TssError, ring
 from tss_ros.core.model.reels import reels
 from tss_ros.simulator.commands import Command, CommandTable
 from tss_ros.simulator.reel_commands import (
@@ -20,6 +21,9 @@ from tss_ros.simulator.reel_commands import (
     planned,
 )
 from tss_ros.simulator.reel_table import MOST_KEPT_POINTS, ReelTable
+from tss_ros.simulator.simulation import Simulation
+from tss_ros.simulator.straight import setup_of
+from tss_ros.simulator.trajectory import compute_states, edge_s
 
 S = 10**9
 FREE = Limits(0.0, 1.0, 0.0)
@@ -184,3 +188,24 @@ def test_a_creeping_reel_has_a_plan():
     for kind, point in ((TARGET, (0.0, 50.0, 1e-9)), (RATE, (0.0, 0.0, 1e-9))):
         (edge,) = planned(command(kind, point), 100.0, 0.0)
         assert edge.at(10**18)[0] == pytest.approx(100.0 + math.copysign(1.0, edge.cubic[1]))
+
+
+@pytest.mark.parametrize("taken", [1, 8])
+def test_states_and_tensions_are_those_of_an_integration_that_knew_all_commands(taken):
+    """A command of time 0 that comes after the first state is out does not show in it."""
+    run = {"publish_period_s": 2.0, "disturbance_m": 5.0, "disturbance_seed": 3, "turns": 0.0}
+    setup = setup_of("three_star", {"spin_rate_ratio": -2.9}, run)
+    live = Simulation(setup, 0.0, threading.Event().set)
+    found = [live.take().alone for _ in range(taken)]
+    assert live.commands.post(command(RATE, (25.0, 0.0, -0.4), place=1))
+    found += [live.take().alone for _ in range(40)]
+    changes = live.take_changes()
+    assert [t / S for t, _ in changes] == [2.0 * (taken - 1), 2.0 * (taken - 1) + 25.0]
+    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
+    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting in changes])
+    again = compute_states(setup, propagator, 0, len(found))
+    for name in ("position_m", "tension_n", "taut", "rest_length_m", "rest_rate_m_s"):
+        column = np.concatenate([getattr(states, name) for states in found])
+        np.testing.assert_array_equal(getattr(again, name), column, name)
+    np.testing.assert_allclose(again.rest_length_m[-1], [10e3, 9_990.0, 10e3], rtol=1e-12)
+    live.close()

@@ -354,7 +354,9 @@ def _with_failures(system, again, acting, t_s, cancelled):
         acting = news_alone(system, [c[:2] for c in with_failures(system, plan, happened)])
         propagator = again(plan=acting)
         position_m, velocity_m_s = propagator.sample(t_s, cancelled)
-        rests = rests_over(system, acting, t_s)
+        # A motion begins with what acts from time 0 on.
+        begun = [(-1.0, commands) for edge, commands in acting if edge <= 0.0]
+        rests = rests_over(system, [*begun[-1:], *(c for c in acting if c[0] > 0.0)], t_s)
         length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
         row, found = watch.look(tension_n[seen:], taut[seen:])
         seen += row

@@ -158,10 +158,16 @@ class CommandTable:
         Those of failures are `FailureTable.arrays`, those of reels `ReelTable.arrays`.
         """
         commands = self._commands.values()
-        return self._failures.arrays | self.reels.arrays | {
-            "when_and_where": np.array([c[:3] for c in commands], dtype=np.int64).reshape(-1, 3),
-            "force_n": np.array([c.force_n for c in commands], dtype=float).reshape(-1, 3),
-        }
+        return (
+            self._failures.arrays
+            | self.reels.arrays
+            | {
+                "when_and_where": np.array([c[:3] for c in commands], dtype=np.int64).reshape(
+                    -1, 3
+                ),
+                "force_n": np.array([c.force_n for c in commands], dtype=float).reshape(-1, 3),
+            }
+        )
 
     @arrays.setter
     def arrays(self, arrays: dict[str, np.ndarray]) -> None:

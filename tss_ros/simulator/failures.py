@@ -43,15 +43,11 @@ class FailureTable:
             raise TssError(f"{len(self._kept)} failures are kept already; it is not")
         self._kept.append(failure)
 
-    def act_on(
-        self, edges: Iterable[tuple[int, Commands]], before: Commands
-    ) -> Iterator[Change]:
+    def act_on(self, edges: Iterable[tuple[int, Commands]], before: Commands) -> Iterator[Change]:
         """What acts at and from the times [ns] of commands and failures, and before all of them."""
         return with_failures(self._system, edges, self._kept, before)
 
-    def settle(
-        self, now_ns: int, edges: Iterable[tuple[int, Commands]], before: Commands
-    ) -> None:
+    def settle(self, now_ns: int, edges: Iterable[tuple[int, Commands]], before: Commands) -> None:
         """Note the forces of the thrusters that are stuck by now; forget what is past.
 
         Parameters

@@ -23,14 +23,13 @@ from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
 from tss_ros.scenarios import scenario
-from tss_ros.simulator import odometry
+from tss_ros.simulator import odometry, reel_commands
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
-from tss_ros.simulator.reel_commands import reel_start
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Simulation
@@ -169,7 +168,7 @@ class SimNode(TssNode):
         built = systems.build_system(*systems.split_options(self._options))
         check(self._options, built[0])
         loaded = scenario.load(self._options["scenario"])
-        more = {"failures": loaded.failures, "reels": reel_start(loaded, built[0])}
+        more = {"failures": loaded.failures, "reels": reel_commands.reel_start(loaded, built[0])}
         return Setup.of(self._options, *built, **more)
 
     # --- in the simulation's thread

@@ -129,6 +129,10 @@ class EnsembleQuestion:
             raise TssError(
                 f"scenario {scenario_name!r:.200} has failures, which ensembles do not know"
             )
+        if loaded.reels:
+            raise TssError(
+                f"scenario {scenario_name!r} begins on reels; allowed: one with all tethers out"
+            )
         self.system = loaded.build(self.overrides)
         self._start = loaded.start(self.system)
         far = LOST * np.max(np.linalg.norm(self.system.layout_m, axis=1))
