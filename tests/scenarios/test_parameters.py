@@ -11,7 +11,7 @@ from ament_index_python.packages import get_package_share_directory
 from tss_interfaces.msg import SystemDescription
 
 from tss_ros.core import LAW_PARAMETERS, TETHER_LAWS, System, TssError, formation
-from tss_ros.scenarios import parameters, scenario
+from tss_ros.scenarios import parameters, reels, scenario
 from tss_ros.scenarios.parameters import FORMATION, GRAPH, HEADING, SCENARIO, names, read_assignment
 from tss_ros.sweeps.command import main as sweep
 
@@ -132,7 +132,8 @@ def test_shipped_scenarios_have_no_other_parameters():
     folder = Path(scenario.__file__).parent
     for path in folder.glob("*.yaml"):
         content = yaml.safe_load(path.read_text())
-        assert content.keys() <= {"description", "formation", *BODIES, *names(SCENARIO)}, path
+        about = {"description", "formation", "failures", *reels.KEYS}
+        assert content.keys() <= {*about, *BODIES, *names(SCENARIO)}, path
 
 
 def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_path):

@@ -200,9 +200,9 @@ def test_states_and_tensions_are_those_of_an_integration_that_knew_all_commands(
     assert live.commands.post(command(RATE, (25.0, 0.0, -0.4), place=1))
     found += [live.take().alone for _ in range(40)]
     changes = live.take_changes()
-    assert [t / S for t, _ in changes] == [2.0 * (taken - 1), 2.0 * (taken - 1) + 25.0]
+    assert [t / S for t, *_ in changes] == [2.0 * (taken - 1), 2.0 * (taken - 1) + 25.0]
     propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start)
-    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting in changes])
+    propagator.command([(edge_s(setup, time_ns), acting) for time_ns, acting, _ in changes])
     again = compute_states(setup, propagator, 0, len(found))
     for name in ("position_m", "tension_n", "taut", "rest_length_m", "rest_rate_m_s"):
         column = np.concatenate([getattr(states, name) for states in found])

@@ -113,7 +113,7 @@ def rests_over(
     ----------
     system : System
     plan : sequence of (float, Commands)
-        What acts from outside, and after which times [s]; of those up to 0 the last one counts.
+        What acts from outside, and after which times [s].
     times_s : ndarray, shape (k,)
         Increasing.
 
@@ -123,9 +123,7 @@ def rests_over(
         [m] and [m/s]; both are 0 for segments that are on a reel or cut.
     """
     rests = Commands.none(system).rests(system, times_s)
-    # A motion begins with what acts from time 0 on.
-    edges = [edge if edge > 0.0 else -np.inf for edge, _ in plan]
-    firsts = np.searchsorted(times_s, edges, side="right").tolist()
+    firsts = np.searchsorted(times_s, [edge for edge, _ in plan], side="right").tolist()
     for (_, commands), first, end in zip(plan, firsts, [*firsts[1:], times_s.size]):
         if first == end:
             continue
