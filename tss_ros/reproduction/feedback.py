@@ -29,6 +29,9 @@ WATCHED = 20.0
 PUSH_M, TURNS, SAMPLES, SETTLED = 10.0, 200, 40, 0.1
 #: Damping of tethers that is tried instead [N s/m], and changes of all masses.
 TETHERS, MASSES = (1e2, 1e3, 1e4, 1e5), (0.8, 0.9, 1.0, 1.1, 1.2)
+#: Rings whose reels follow tension: satellites and rate; damping [N s/m] and stiffness [N/m].
+REELED = ((3, -2.9), (5, -4.5))
+REEL_DAMPINGS, REEL_STIFFNESS = (100.0, 1000.0, 10000.0, 100000.0), 1.0
 #: A controller that samples: gains [N s/m], periods and delays [s], push [m], most turns, and the
 #: swing [m] at which a motion is given up.
 SAMPLED_GAINS, PERIODS_S = (5.0, WATCHED, 50.0), (20.0, 40.0, 80.0)
@@ -180,7 +183,7 @@ def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) ->
     spin, spinning = free.spin_rate_rad_s(RATE), FRAMES.index("spinning")
     motion, plan, swing = core.Propagator(free, RATE, start), [], []
     step_s, time = free.period_s(RATE) / SAMPLES, 0
-    looks, whole = 0, np.zeros(free.m, dtype=bool)
+    looks, whole = 0, core.Commands.none(free)
     while len(swing) < SAMPLED_TURNS:
         square = 0.0
         for _ in range(SAMPLES):
@@ -190,7 +193,7 @@ def sampled_swing(gain: float, period_s: float, delay_s: float, start: State) ->
                 force = np.zeros((len(FRAMES), free.n, 3))
                 force[spinning] = thrust(law, RATE, State(r, v)) @ turn_about(Z_AXIS, spin * now)
                 plan = [held for held in plan if held[0] > motion.commanded_s]
-                plan.append((now + delay_s, core.Commands(force, whole)))
+                plan.append((now + delay_s, whole._replace(force_n=force)))
                 motion.command(plan)
                 looks += 1
             z = motion.sample([time * step_s])[0][0, :, 2]
@@ -287,3 +290,16 @@ def rigid_gain(system: System, ratio: float) -> float:
     """
     share = math.sqrt(-(1.0 + 2.0 * ratio) * (4.0 + 2.0 * ratio)) / abs(ratio)
     return share * float(system.mass_kg[0]) * system.orbit_rate_rad_s
+
+
+def reels(stopped: Callable[[], bool]) -> list[dict[str, Any]]:
+    """What reels that follow the tension of undamped tethers do, over the damping of the reels."""
+    rows = []
+    for satellites, rate in REELED:
+        ring = core.ring(satellites=satellites, damping_n_s_per_m=0.0)
+        for damping in REEL_DAMPINGS:
+            control = core.ReelControl(damping, REEL_STIFFNESS)
+            found = core.compute_reel_control(ring, rate, control, cancelled=stopped)
+            row = {"satellites": satellites, "rate": rate, "damping": damping}
+            rows.append(row | {"found": found})
+    return rows

@@ -123,7 +123,8 @@ def slow_figure(found: Mapping[str, Any]) -> Figure:
 #: What is computed, in order, and the pictures made of it.
 WORK = {
     "gains": feedback.gains, "settling": feedback.settling, "tethers": feedback.tethers,
-    "masses": feedback.masses, "delays": feedback.delays, "slow": feedback.slow,
+    "reels": feedback.reels, "masses": feedback.masses, "delays": feedback.delays,
+    "slow": feedback.slow,
 }  # fmt: skip
 FIGURES = {
     "gains": (gains_figure, "gains"), "multipliers": (multipliers_figure, "gains"),
@@ -237,7 +238,36 @@ def _limits(found):
             ],
         ),
         "Tethers damp best in the plane at a middling C, too: a stiff damper lets nothing stretch.",
+        *_reels(found["reels"]),
     ]
+
+
+def _reels(rows):
+    def modulus(found, in_plane):
+        value = found.largest("shape", in_plane)
+        return "-" if math.isnan(value) or found.verdict == "none found" else f"{value:.6f}"
+
+    return [
+        "## What reels can do",
+        "A reel that gives way to the tension of its tether, c L' = T - T_0 - k (L - L_0), damps"
+        " what stretches tethers. Here tethers have no damping of their own, so that all shapes"
+        f" are neutral without reels. T_0 is the mean of the steady tension, k is"
+        f" {feedback.REEL_STIFFNESS:g} N/m. Rest lengths are part of the state; each adds a"
+        " multiplier, which counts as shape (`core.compute_reel_control`).",
+        table(
+            ("satellites", "rate [Ω]", "c [N s/m]", "verdict", "slowest |ρ| in the plane",
+             "largest |ρ| of the shape out of it", "stroke [m]"),
+            [
+                (str(row["satellites"]), f"{row['rate']:g}", f"{row['damping']:g}",
+                 row["found"].verdict, modulus(row["found"], True), modulus(row["found"], False),
+                 f"{max(row['found'].stroke_m):.2g}")
+                for row in rows
+            ],
+        ),
+        "Three satellites have no shape out of the plane but the tilt, so that reels alone make"
+        " them asymptotically stable. Five have waves out of the plane. Reels leave them as they"
+        " are. Where none was found, Newton's method did not close a motion, and nothing is said.",
+    ]  # fmt: skip
 
 
 def _slow(found):
