@@ -89,6 +89,7 @@ def sixth_of_a_turn(point):
     return float(np.linalg.norm(end - to_scaled(driven, point.state)))
 
 
+@pytest.mark.long
 def test_beyond_a_period_doubling_motions_close_after_two_turns():
     family = follow(SIX_BEADS, "spin_rate_ratio", -2.68, -2.715, longest_step=0.005)
     (point, *_) = (point for point in family.special if point.kind == "period doubling")
@@ -143,6 +144,7 @@ def test_first_slack_in_the_damping_is_where_the_closed_form_puts_it():
     assert curve.points[-1].parameter == pytest.approx(rate.spin_rate_ratio, abs=2e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "system, w, kind, second, stop",
     [

@@ -149,6 +149,7 @@ def test_combination_resonances_of_the_tilt_are_named_alike(system, waves, rate)
     assert found.resonance.endswith("frequencies add up to twice the spin")
 
 
+@pytest.mark.long
 def test_tilts_resonate_with_each_other_in_the_middle_of_their_band():
     """omega_1 = |w| at w = -5/4: there the tilt grows the most in time."""
     assert brentq(lambda w: wave(w, 1.0) + w, -3.0, -1.0) == pytest.approx(-1.25)

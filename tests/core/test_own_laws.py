@@ -127,6 +127,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.long
 def test_a_law_that_says_the_same_once_more_does_the_same(package):
     """Simulation and closed loop under the laws of the package, and under a user's."""
     found = answer(SAME, package, "my_laws:SPRING")
@@ -248,6 +249,7 @@ print(json.dumps(compute_floquet(system, 0.0).message))
 """
 
 
+@pytest.mark.long
 def test_nothing_hangs_where_a_law_thrusts_at_rest(tmp_path):
     pull = "return tuple(-law_gain * d for d in g.place)"
     text = ONE_LAW.replace("from law_helper", "# ")

@@ -47,6 +47,7 @@ def run(tmp_path):
     return start, survivors
 
 
+@pytest.mark.long
 def test_a_figure_is_drawn_from_its_recording_and_not_made_again(run, tmp_path):
     start, survivors = run
     output = tmp_path / "out"

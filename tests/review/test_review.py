@@ -60,6 +60,8 @@ def recording():
         length_m=1e4 + tension_n,
         tension_n=tension_n,
         taut=taut,
+        rests_m=np.full((STEPS, 4), 1e4),
+        rest_rates_m_s=np.zeros((STEPS, 4)),
     )
 
 

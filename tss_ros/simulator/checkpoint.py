@@ -29,6 +29,7 @@ _NUMBERS = {
 #: variations are left out: a simulation carries none.
 _ARRAYS = {
     "taut": "taut",
+    "idle": "idle",
     "velocity_m_s": "v",
     "position_m": "r",
     "implicit_start_velocity_m_s": "start_v",

@@ -72,8 +72,8 @@ def blank(arrays: KernelArrays, tables: Tables, settings: StepSettings) -> Integ
     state, steps, none = (n, 3), (s, n, 3), (n, 3, 0)
     return IntegratorState(
         progress=np.zeros(1, dtype=PROGRESS),
-        taut=np.empty(m, dtype=bool),
-        idle=np.empty(m, dtype=bool),
+        taut=np.zeros(m, dtype=bool),
+        idle=np.zeros(m, dtype=bool),
         v=np.empty(state),
         r=np.empty(state),
         start_v=np.empty(state),
