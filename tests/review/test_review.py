@@ -268,7 +268,7 @@ def test_live_review_draws_what_the_file_review_draws(recording, tmp_path):
 def part(recording, steps):
     """Some steps of a recording."""
     names = ("step", "t_s", "position_m", "velocity_m_s", "deviation")
-    names += ("length_m", "tension_n", "taut")
+    names += ("length_m", "tension_n", "taut", "rests_m", "rest_rates_m_s")
     return dataclasses.replace(recording, **{n: getattr(recording, n)[steps] for n in names})
 
 
