@@ -180,6 +180,7 @@ print(json.dumps({"thrust": [min(size), max(size)], "missed": missed,
 """
 
 
+@pytest.mark.long
 def test_derivatives_and_multipliers_of_a_law_that_is_not_linear_are_differences(package):
     found = answer(NONLINEAR, package, "my_laws:SPRING")
     least, most = found["thrust"]

@@ -125,6 +125,7 @@ def test_a_second_simulator_is_named_and_left_out(start, tmp_path):
     assert (recording.step == range(len(recording.step))).all()
 
 
+@pytest.mark.long
 def test_the_next_simulator_is_recorded_when_the_first_has_gone(start, tmp_path):
     """Ended or killed, and with the next one there before: each is described, none is mixed."""
     logger = start("logger_node", output="bag")

@@ -30,6 +30,7 @@ def test_signals_end_every_node(start, number):
     assert steps == list(range(len(steps))) and len(steps) > 100
 
 
+@pytest.mark.long
 def test_killed_nodes_are_not_missed_and_can_come_back(start, client, tmp_path):
     node, spin_until = client
     bags = (f"bag{i}" for i in itertools.count())

@@ -73,6 +73,7 @@ def test_simulator_outlives_a_killed_recorder(start):
     assert simulator.stop() == 0
 
 
+@pytest.mark.long
 def test_subscribers_that_stop_or_die_leave_no_gap(start, tmp_path):
     script = tmp_path / "subscriber"
     script.write_text(SUBSCRIBER)

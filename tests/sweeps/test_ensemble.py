@@ -139,6 +139,7 @@ def test_files_are_the_same_to_the_last_bit_wherever_the_motions_were_made(
     assert files(tmp_path / "own") == files(finished)
 
 
+@pytest.mark.long
 def test_interrupted_it_keeps_what_is_done_and_the_same_command_goes_on(tmp_path, finished):
     slow = [*WORDS[:-1], "300"]
     process = subprocess.Popen(
