@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 import ros_harness
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile

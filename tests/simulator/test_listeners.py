@@ -5,6 +5,7 @@ import sys
 import time
 
 import numpy as np
+import pytest
 import ros_harness
 from recorded import messages_by_topic, recorded_steps
 from rosgraph_msgs.msg import Clock
