@@ -1,5 +1,7 @@
 """A controller of a simulator over the middleware, for tests."""
 
+from contextlib import contextmanager
+
 import ros_harness
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from rclpy.duration import Duration
@@ -20,6 +22,18 @@ def wrench(force=(0.0, 0.0, 0.0), frame="", stamp=None, torque=(0.0, 0.0, 0.0)):
     if stamp is not None:
         message.header.stamp = stamp
     return message
+
+
+@contextmanager
+def flown(start, client, controller, **parameters):
+    """A controller of a paused simulator that goes as fast as it can, and ends well."""
+    process = start("sim_node", start_paused=True, time_scale=0, **parameters)
+    simulator = ros_harness.Simulator(*client)
+    simulator.join()
+    simulator.process, simulator.start = process, start
+    yield controller(simulator)
+    assert process.running and process.stop() == 0
+    assert "Traceback" not in process.stderr, process.stderr
 
 
 class Pilot:

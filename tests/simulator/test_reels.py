@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import ros_harness
 from builtin_interfaces.msg import Duration, Time
-from pilot import LATCHED, Pilot
+from pilot import LATCHED, Pilot, flown
 from ros_harness import motion, time_ns
 from sensor_msgs.msg import JointState
 from simulation_interfaces.srv import SetEntityState
@@ -98,13 +98,8 @@ class Winch(Pilot):
 
 @pytest.fixture
 def winch(start, client):
-    process = start("sim_node", start_paused=True, time_scale=0, **GIVEN)
-    simulator = ros_harness.Simulator(*client)
-    simulator.join()
-    simulator.process, simulator.start = process, start
-    yield Winch(simulator)
-    assert process.running and process.stop() == 0
-    assert "Traceback" not in process.stderr, process.stderr
+    with flown(start, client, Winch, **GIVEN) as winch:
+        yield winch
 
 
 def test_a_rate_a_target_and_a_profile_hold_from_the_next_step(winch):
@@ -194,7 +189,7 @@ def test_hostile_commands_are_refused_in_words_and_change_nothing(start, client)
     assert [motion(winch.step(3)) for _ in range(2)] == plain and not winch.applied
     # At most one warning about a tether, or about a topic, in a while.
     assert process.stderr.count("command refused") == 2
-    process.wait_for_line("~/cmd_tether: command refused: there is no whole tether 'tether_9'")
+    process.wait_for_line("~/cmd_tether: command refused: tether is 'tether_9'")
     for i in range(3000):
         winch.reel("tether_2", velocity=[-i / 3000.0], stamp_s=1)
         if i % 100 == 0:

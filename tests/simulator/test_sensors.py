@@ -16,7 +16,7 @@ from tss_ros.bags.verify import verify
 from tss_ros.core import Satellite, Tether, assemble, ring
 from tss_ros.messages.topics import read_topics
 from tss_ros.ros import parameters
-from tss_ros.simulator.sensors import Instrument, Sensors, whole_tethers
+from tss_ros.simulator.sensors import Instrument, Sensors
 
 S = 10**9
 NAMES = ("satellite_1", "satellite_2", "satellite_3")
@@ -125,9 +125,8 @@ def test_ranges_are_of_whole_tethers_from_satellite_to_satellite():
         Tether("short", (1, 2), (90.0,), (1e3,), (1.0,)),
     ]
     system = assemble(bodies, tethers)
-    assert [tuple(t) for t in whole_tethers(system)] == [
-        ("long", (0, 1), (0, 2)), ("short", (1, 2), (3, 3))
-    ]  # fmt: skip
+    ends = [(t.name, t.beads[0], t.beads[-1], t.segments) for t in sensors(system).tethers]
+    assert ends == [("long", 0, 1, (0, 1, 2)), ("short", 1, 2, (3,))]
     position_m = np.array(system.layout_m)
     inner = np.flatnonzero(~system.is_satellite)
     position_m[inner] += [0.0, 40.0, 0.0]
@@ -138,7 +137,8 @@ def test_ranges_are_of_whole_tethers_from_satellite_to_satellite():
     cut, whole = ring(beads_per_tether=3), ring()
 
     def joined(system):
-        return {t.name: {system.bead_name[i] for i in t.satellites} for t in whole_tethers(system)}
+        lines = sensors(system).tethers
+        return {t.name: {system.bead_name[i] for i in t.beads[:: len(t.beads) - 1]} for t in lines}
 
     assert joined(cut) == joined(whole) and len(joined(whole)) == 3
 

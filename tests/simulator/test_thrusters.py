@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import ros_harness
 from builtin_interfaces.msg import Time
-from pilot import LATCHED, Pilot
+from pilot import LATCHED, Pilot, flown
 from ros_harness import motion, time_ns
 from simulation_interfaces.msg import Result
 from simulation_interfaces.srv import GetEntityState, StepSimulation
@@ -30,14 +30,8 @@ GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 5.0, "disturbance_seed":
 
 @pytest.fixture
 def pilot(start, client):
-    """A controller of a paused simulator that goes as fast as it can."""
-    process = start("sim_node", start_paused=True, time_scale=0, **GIVEN)
-    simulator = ros_harness.Simulator(*client)
-    simulator.join()
-    simulator.process, simulator.start = process, start
-    yield Pilot(simulator)
-    assert process.running and process.stop() == 0
-    assert "Traceback" not in process.stderr, process.stderr
+    with flown(start, client, Pilot, **GIVEN) as pilot:
+        yield pilot
 
 
 def test_commands_hold_from_the_step_that_is_asked_for_next(pilot):

@@ -1,7 +1,7 @@
 """Errors of the core: one base; messages name the thing, its value and what is allowed."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class TssError(ValueError):
@@ -26,3 +26,18 @@ def near_match(word: str, known: Iterable[str]) -> str:
     found = difflib.get_close_matches(word, known, 1)
     found += [name for name in known if len(word) > 2 and f"_{word.lower()}" in f"_{name}"]
     return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def index_of(what: str, name: str, names: Sequence[str]) -> int:
+    """Index of a name.
+
+    Raises
+    ------
+    TssError
+        Naming what it is to be, the name and those that there are.
+    """
+    if name not in names:
+        raise TssError(
+            f"{what} is {name!r:.80}; allowed: {', '.join(names):.200}{near_match(name, names)}"
+        )
+    return names.index(name)

@@ -7,7 +7,7 @@ import numpy as np
 from tss_ros.core import Commands, System
 from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.failures import DEAD, STUCK, Change, thruster
-from tss_ros.core.model.reels import reels
+from tss_ros.core.model.reels import reel_names
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, header
 from tss_ros.messages.topics import read_topics
@@ -52,7 +52,7 @@ def applied_wrenches(
         "cut_tether": [system.tether_name[i] for i in np.flatnonzero(commands.cut)],
         "dead_actuator": [name for name, mode in failed if mode == DEAD],
         "stuck_actuator": [name for name, mode in failed if mode == STUCK],
-        "reel_tether": [reels(system)[i].name for i in np.flatnonzero(reeled)],
+        "reel_tether": [reel_names(system)[i] for i in np.flatnonzero(reeled)],
         "reel": commands.reel[reeled].ravel(),
     }
     return serialised(read_topics()[TOPIC].definition, said)

@@ -20,7 +20,7 @@ import numpy as np
 
 from tss_ros.core import System, TssError
 from tss_ros.core.model.reel_plans import reel_profile
-from tss_ros.core.model.reels import lengths_out, reel_index, reels
+from tss_ros.core.model.reels import deployed_lengths, reel_index, reel_names
 from tss_ros.core.model.system import finite
 from tss_ros.scenarios.files import check_keys
 
@@ -57,9 +57,9 @@ class Reels:
             another length than is out.
         """
         profiles = {reel_index(system, name): p for name, p in _each(system, self.profiles)}
-        names = [reel.name for reel in reels(system)]
+        names = reel_names(system)
         begun = {names[place]: profile.length_m[0] for place, profile in profiles.items()}
-        lengths = lengths_out(system, begun | dict(_each(system, self.deployed_m)))
+        lengths = deployed_lengths(system, begun | dict(_each(system, self.deployed_m)))
         for place, profile in profiles.items():
             if abs(profile.length_m[0] - lengths[place]) > CONTINUOUS_M:
                 raise TssError(
@@ -113,5 +113,5 @@ def _profile(name, entry):
 def _each(system, values):
     """Names of single tethers and their values; a name of its own goes before `ALL`."""
     if ALL in values:
-        values = dict.fromkeys((reel.name for reel in reels(system)), values[ALL]) | values
+        values = dict.fromkeys(reel_names(system), values[ALL]) | values
     return [(name, value) for name, value in values.items() if name != ALL]

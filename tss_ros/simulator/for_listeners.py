@@ -8,7 +8,6 @@ from rclpy.node import Node
 from tss_ros.core import System
 from tss_ros.messages.steps import FRAME_ID
 from tss_ros.ros.topics import Topic
-from tss_ros.scenarios import scenario
 from tss_ros.simulator import odometry, sensor_topics
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample
@@ -18,15 +17,13 @@ ODOMETRY = "{satellite}/odom"
 
 
 def check(options: Mapping[str, Any], system: System) -> None:
-    """Check the parameters that ask for it, and the failures of the scenario.
+    """Check the parameters that ask for it.
 
     Raises
     ------
     TssError
         If one does not fit the system.
     """
-    for failure in scenario.load(options["scenario"]).failures:
-        failure.check(system)
     odometry.check(options["odometry"], system)
     sensor_topics.check(options, system)
 

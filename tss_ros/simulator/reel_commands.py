@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tss_ros.core import System, TssError
-from tss_ros.core.model.reels import NEVER_M, SHORTEST_M, reels
+from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
+from tss_ros.core.model.reels import NEVER_M, SHORTEST_M
 from tss_ros.scenarios.scenario import Scenario
 
 #: What a command may be: a rate, a length to be reached, or a profile, with straight lines between
@@ -124,7 +125,7 @@ class ReelEdge(NamedTuple):
 
     def at(self, time_ns: int) -> tuple[float, float]:
         """Length [m] and rate [m/s] at a simulation time [ns]."""
-        return _value(self.cubic, (time_ns - self.time_ns) / 1e9)
+        return cubic_at(self.cubic, (time_ns - self.time_ns) / 1e9)
 
 
 def planned(command: ReelCommand, length_m: float, rate_m_s: float) -> list[ReelEdge]:
@@ -204,41 +205,19 @@ def _fastest(cubic, duration_s):
     times = [0.0, duration_s]
     if cubic[3] and 0.0 < (turn := -cubic[2] / (3.0 * cubic[3])) < duration_s:
         times.append(turn)
-    return max(abs(_value(cubic, t)[1]) for t in times)
+    return max(abs(cubic_at(cubic, t)[1]) for t in times)
 
 
 def _clamped(cubic, duration_s, low, high):
     """Parts of a cubic between two lengths [m], with the times [s] at which they begin."""
     cuts = {0.0}
     for limit in (low, high):
-        shifted = np.polynomial.Polynomial([cubic[0] - limit, *cubic[1:]])
-        roots = shifted.roots() if any(cubic[1:]) else np.empty(0)
-        real = np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * (1.0 + np.abs(roots))])
-        cuts |= {float(t) for t in real if 0.0 < t < duration_s}
+        cuts |= {t for t in cubic_crossings(cubic, limit) if 0.0 < t < duration_s}
     ordered = [*sorted(cuts), duration_s]
     for begin, end in zip(ordered, ordered[1:]):
-        middle, _ = _value(cubic, 0.5 * (begin + end) if end < math.inf else begin + 1.0)
+        middle, _ = cubic_at(cubic, 0.5 * (begin + end) if end < math.inf else begin + 1.0)
         limit = low if middle < low else high if middle > high else None
-        yield begin, _from(cubic, begin) if limit is None else (limit, 0.0, 0.0, 0.0)
-
-
-def _from(cubic, time_s):
-    """The same cubic of the time since a time [s]."""
-    if time_s == 0.0:
-        return cubic
-    _, _, c, d = cubic
-    return *_value(cubic, time_s), 3.0 * d * time_s + c, d
-
-
-def _value(cubic, time_s):
-    a, b, c, d = cubic
-    rate = (3.0 * d * time_s + 2.0 * c) * time_s + b
-    return ((d * time_s + c) * time_s + b) * time_s + a, rate
-
-
-def reel_names(system: System) -> tuple[str, ...]:
-    """Names of the whole tethers, in the order of the places of commands."""
-    return tuple(reel.name for reel in reels(system))
+        yield begin, cubic_from(cubic, begin) if limit is None else (limit, 0.0, 0.0, 0.0)
 
 
 def reel_start(loaded: Scenario, system: System) -> ReelStart | None:

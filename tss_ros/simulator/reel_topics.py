@@ -12,8 +12,8 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from tss_ros.core import Commands, System, TssError
-from tss_ros.core.errors import near_match
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
+from tss_ros.core.model.reels import reel_index, reel_names
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator.reel_commands import (
     CUBICS,
@@ -23,7 +23,6 @@ from tss_ros.simulator.reel_commands import (
     Limits,
     ReelCommand,
     is_limited,
-    reel_names,
 )
 from tss_ros.simulator.simulation import Simulation
 
@@ -139,14 +138,9 @@ def _places(names, system, field="name"):
     if not names:
         raise TssError(f"{field} is empty; allowed: {', '.join(known):.200}")
     for name in names:
-        if name not in known:
-            raise TssError(
-                f"there is no whole tether {name!r:.80}; allowed: {', '.join(known):.200}"
-                f"{near_match(name, known)}"
-            )
         if list(names).count(name) > 1:
             raise TssError(f"{field} has {name} more than once; allowed: once")
-    return [known.index(name) for name in names]
+    return [reel_index(system, name) for name in names]
 
 
 def _columns(message, fields, count):

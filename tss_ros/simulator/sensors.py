@@ -5,59 +5,16 @@ again, restored or reset is measured alike, bit for bit, however it is paced.
 """
 
 import math
-import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from tss_ros.core import System
+from tss_ros.core.model.reels import reels
 
 #: What is measured: the first parts of the parameters' names, and their units.
 QUANTITIES = {"position": "m", "velocity": "m_s", "range": "m", "tension": "n"}
-
-
-class WholeTether(NamedTuple):
-    """A tether between two satellites.
-
-    Attributes
-    ----------
-    name : str
-        That of its segments without their numbers.
-    satellites : tuple of int
-        Indices of the two beads.
-    end_segments : tuple of int
-        Indices of its first and its last segment, equal if it has one.
-    """
-
-    name: str
-    satellites: tuple[int, int]
-    end_segments: tuple[int, int]
-
-
-def whole_tethers(system: System) -> list[WholeTether]:
-    """The tethers between two satellites, each with all beads that cut it."""
-    segments_of = [np.flatnonzero((system.tether_ends == i).any(axis=1)) for i in range(system.n)]
-    tethers, used = [], set()
-    for first in np.flatnonzero(system.is_satellite).tolist():
-        for begin in segments_of[first].tolist():
-            if begin in used:
-                continue
-            bead, segment = _other_end(system, begin, first), begin
-            while not system.is_satellite[bead] and len(segments_of[bead]) == 2:
-                (segment,) = (k for k in segments_of[bead].tolist() if k != segment)
-                bead = _other_end(system, segment, bead)
-            if system.is_satellite[bead] and bead != first:
-                used |= {begin, segment}
-                ends = (begin, segment) if begin <= segment else (segment, begin)
-                name = re.sub(r"_segment_\d+$", "", system.tether_name[ends[0]])
-                tethers.append(WholeTether(name, (first, bead), ends))
-    return sorted(tethers, key=lambda tether: tether.end_segments)
-
-
-def _other_end(system, segment, bead):
-    first, second = system.tether_ends[segment].tolist()
-    return second if bead == first else first
 
 
 class Instrument:
@@ -104,18 +61,23 @@ class Sensors:
     ----------
     satellites : list of int
         Indices of their beads.
-    tethers : list of WholeTether
+    tethers : list of Reel
+        Whole tethers between two satellites.
     """
 
     def __init__(self, system: System, options: Mapping[str, Any]) -> None:
         self.satellites = np.flatnonzero(system.is_satellite).tolist()
-        self.tethers = whole_tethers(system)
+        self.tethers = [
+            line for line in reels(system)
+            if system.is_satellite[[line.beads[0], line.beads[-1]]].all()
+        ]  # fmt: skip
         self._period_s = options["sensor_period_s"]
         self._names = system.bead_name
         self._seed, self._options = options["sensor_seed"], options
         self._instruments = {}
-        self._ends = np.array([t.satellites for t in self.tethers], dtype=int).reshape(-1, 2)
-        self._segments = np.array([t.end_segments for t in self.tethers], dtype=int).reshape(-1, 2)
+        ends = [(*line.beads[:: len(line.beads) - 1], *line.segments[:1], *line.segments[-1:])
+                for line in self.tethers]  # fmt: skip
+        self._ends, self._segments = np.hsplit(np.array(ends, dtype=int).reshape(-1, 4), 2)
 
     def due(self, time_ns: int, step_s: float) -> bool:
         """Whether a state is the first at or after a multiple of the period.

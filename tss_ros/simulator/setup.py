@@ -19,9 +19,30 @@ from tss_ros.core import (
 )
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
 from tss_ros.core.model.orbits import ReferenceOrbit
+from tss_ros.core.model.reels import reel_names
 from tss_ros.core.presentation import turn_in_words
+from tss_ros.scenarios.scenario import Scenario
 from tss_ros.simulator.commands import CommandTable
-from tss_ros.simulator.reel_commands import ReelStart, reel_names
+from tss_ros.simulator.reel_commands import ReelStart, reel_start
+
+
+def declared(loaded: Scenario, system: System) -> dict[str, Any]:
+    """What a scenario has happen in a run, as arguments of `Setup.of`.
+
+    Parameters
+    ----------
+    loaded : Scenario
+    system : System
+        What it builds, with whatever overrides.
+
+    Raises
+    ------
+    TssError
+        If it does not fit the system.
+    """
+    for failure in loaded.failures:
+        failure.check(system)
+    return {"failures": loaded.failures, "reels": reel_start(loaded, system)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,10 +106,8 @@ class Setup:
         Raises
         ------
         TssError
-            If there is none for this system and rate, or if a failure does not fit the system.
+            If there is none for this system and rate.
         """
-        for failure in failures:
-            failure.check(system)
         if reels and system.law_parameters[SHAPE_KEEPING.name]:
             raise TssError(f"{SHAPE_KEEPING.name} keeps one shape; allowed with reels: 0")
         acting = CommandTable(system, reels).at(0)

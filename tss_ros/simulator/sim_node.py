@@ -23,7 +23,7 @@ from tss_ros.ros.node import TssNode, run
 from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
 from tss_ros.ros.words import check_words
 from tss_ros.scenarios import scenario
-from tss_ros.simulator import odometry, reel_commands
+from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
 from tss_ros.simulator.control import Control
@@ -31,7 +31,7 @@ from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
 from tss_ros.simulator.services import SimulationServices
-from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import Simulation
 from tss_ros.simulator.step_publisher import StepPublisher
 from tss_ros.simulator.steps_action import StepsAction
@@ -148,6 +148,7 @@ class SimNode(TssNode):
                 inside(options["service_folder"], name, "scenario")
             system, *_ = systems.build_system(*systems.split_options(options))
             check(options, system)
+            declared(scenario.load(options["scenario"]), system)
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -168,8 +169,7 @@ class SimNode(TssNode):
         built = systems.build_system(*systems.split_options(self._options))
         check(self._options, built[0])
         loaded = scenario.load(self._options["scenario"])
-        more = {"failures": loaded.failures, "reels": reel_commands.reel_start(loaded, built[0])}
-        return Setup.of(self._options, *built, **more)
+        return Setup.of(self._options, *built, **declared(loaded, built[0]))
 
     # --- in the simulation's thread
 

@@ -376,6 +376,8 @@ def _note(table, failure, now_ns):
         table.fail(failure, now_ns)
     elif not table.post(Command(failure.time, failure.place, CUT_FRAME)):
         raise TssError("too many commands are kept; a tether cannot be cut")
+
+
 def _edges(commands, from_ns):
     """What acts from a simulation time [ns] on, and all changes to come."""
     return [(from_ns, commands.at(from_ns)), *commands.edges(from_ns + 1)]

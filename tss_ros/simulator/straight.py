@@ -26,8 +26,7 @@ from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import news
-from tss_ros.simulator.reel_commands import reel_start
-from tss_ros.simulator.setup import Setup
+from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
 from tss_ros.simulator.trajectory import compute_states, edge_s
 
@@ -108,7 +107,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     )
     writer.write(channels["system_description"], described, 0, time.time_ns(), 1)
     make = StepMessages(setup.system, setup.tension_n)
-    story = _Story(setup, commands, last)
+    story = _Story(setup, commands)
     begun = [(0.0, setup.commands.at(0))]
     propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=begun)
     propagator.command(story.plan)
@@ -153,12 +152,10 @@ class _Story:
     setup : Setup
     commands : sequence of (int, Commands) or Change, optional
         What acts; the setup's reels and failures if it is not given.
-    last : int
-        Number of the last state.
     """
 
-    def __init__(self, setup, commands, last):
-        self._setup, self._end_s = setup, last * setup.publish_period_s
+    def __init__(self, setup, commands):
+        self._setup = setup
         # What the setup itself has its reels do; after its beginning commands replace that.
         own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
         self._given = own if commands is None else [own[0], *commands]
@@ -183,14 +180,8 @@ class _Story:
 
     @property
     def plan(self):
-        """For the integrator. With the last state all reels stop, wherever they led to."""
-        plan = [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
-        if plan and plan[-1][0] < self._end_s and plan[-1][1].unreels:
-            stopped = plan[-1][1].checked(self._setup.system)
-            stopped.reel[:] = 0.0
-            stopped.reel[:, 1] = plan[-1][1].lengths_out(self._end_s)[0]
-            plan.append((self._end_s, stopped))
-        return plan
+        """For the integrator."""
+        return [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
 
     def fail(self, states):
         """Let fail what these states show the events for; how many of them to keep, 0 for all."""
@@ -302,9 +293,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     given = {p.name: p.check(run[p.name]) for p in RUN}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(
-        said, system, ratio, loaded.start(system), loaded.failures, reel_start(loaded, system)
-    )
+    return Setup.of(said, system, ratio, loaded.start(system), **declared(loaded, system))
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tss_ros.core.errors import TssError
+from tss_ros.core.errors import TssError, index_of
+from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
 from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.model.kernel_arrays import KernelArrays
 from tss_ros.core.model.reels import (
@@ -31,7 +32,7 @@ FRAMES = ("orbit", "inertial", "spinning")
 #: How far a rest length [m] may jump where commands change, relative to it and in metres.
 CONTINUOUS = 1e-9, 1e-6
 #: How far ahead [s] the end of a reel is looked for: rates of rounding errors come to theirs later.
-LATEST_S = 1e10
+HORIZON_S = 1e10
 
 
 class Commands(NamedTuple):
@@ -89,12 +90,12 @@ class Commands(NamedTuple):
         """
         commands = cls.none(system)
         for bead, frame, force_n in forces:
-            place = _index("frame", frame, FRAMES), _index("bead", bead, system.bead_name)
+            place = index_of("frame", frame, FRAMES), index_of("bead", bead, system.bead_name)
             if np.shape(force_n) != (3,):
                 raise TssError(f"force on {bead} must be x, y, z [N], got {force_n!r:.80}")
             commands.force_n[place] += force_n
         for tether in cut:
-            commands.cut[_index("tether", tether, system.tether_name)] = True
+            commands.cut[index_of("tether", tether, system.tether_name)] = True
         for tether, numbers in (reel or {}).items():
             if not 2 <= np.size(numbers) <= 5:
                 raise TssError(
@@ -128,17 +129,10 @@ class Commands(NamedTuple):
         out = (reel.segments_out(length) for reel, length in zip(reels(system), lengths))
         return deployment(system, tuple(out))
 
-    def shifted(self, by_s: float) -> Commands:
-        """The same for a clock that shows so much [s] more."""
-        reel = np.array(self.reel)
-        reel[:, 0] += by_s
-        return self._replace(reel=reel)
-
     def lengths_out(self, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rest length [m] out of each whole tether at times (...), and its rate [m/s]: (..., p)."""
-        since, a, b, c, d = self.reel.T
-        past = np.asarray(time_s, dtype=float)[..., None] - since
-        return ((d * past + c) * past + b) * past + a, (3.0 * d * past + 2.0 * c) * past + b
+        since, *cubics = self.reel.T
+        return cubic_at(cubics, np.asarray(time_s, dtype=float)[..., None] - since)
 
     def rests(self, system: System, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rest length [m] of each segment at times (...), and its rate [m/s]: (..., m)."""
@@ -146,11 +140,9 @@ class Commands(NamedTuple):
 
     def crossings(self, reel: int, length_m: float, first_s: float, last_s: float) -> list[float]:
         """Times [s] between two at which so much of a whole tether is out, in order."""
-        since, *cubic = self.reel[reel]
-        cubic[0] -= length_m
-        roots = np.polynomial.Polynomial(cubic).roots() if any(cubic[1:]) else np.empty(0)
-        times = since + np.real(roots[np.abs(np.imag(roots)) <= 1e-9 * (1.0 + np.abs(roots))])
-        return sorted(float(t) for t in times if first_s < t < last_s)
+        since, *cubic = self.reel[reel].tolist()
+        times = (since + time for time in cubic_crossings(cubic, length_m))
+        return [time for time in times if first_s < time < last_s]
 
     def hand_overs(
         self, system: System, first_s: float, last_s: float
@@ -171,9 +163,8 @@ class Commands(NamedTuple):
         lines = reels(system)
         edges = {first_s}
         for i, line in enumerate(lines):
-            if self.reel[i, 2:].any():
-                for edge_m in line.edges_m:
-                    edges.update(self.crossings(i, edge_m, first_s, last_s))
+            for edge_m in line.edges_m:
+                edges.update(self.crossings(i, edge_m, first_s, last_s))
         edges, found = [*sorted(edges), last_s], []
         for begin, end in zip(edges, edges[1:]):
             middle = 0.5 * (begin + end) if end < math.inf else begin + 1.0
@@ -190,8 +181,7 @@ class Commands(NamedTuple):
             ends = [
                 (times[0], i)
                 for i in range(len(self.reel))
-                if acting.reel[i, 2:].any()
-                and (times := acting.crossings(i, SHORTEST_M, begun, begun + LATEST_S))
+                if (times := acting.crossings(i, SHORTEST_M, begun, begun + HORIZON_S))
             ]
             if not ends:
                 return found
@@ -213,7 +203,7 @@ class Commands(NamedTuple):
             if not SHORTEST_M * (1.0 - CONTINUOUS[1]) <= there[i] < NEVER_M:
                 raise TssError(f"rest length of {line.name} must be at least {SHORTEST_M:g} m")
             short = self.crossings(i, SHORTEST_M, first_s, last_s)
-            if short and self.reel[i, 2:].any() and last_s < math.inf:
+            if short and last_s < math.inf:
                 raise TssError(
                     f"{line.name} would be shorter than {SHORTEST_M:g} m from {short[0]:.9g} s on:"
                     " let its reel stop before"
@@ -304,25 +294,15 @@ class Commands(NamedTuple):
         cubics = np.zeros((part.system.m, 4))
         cubics[:, 0] = part.system.rest_length_m
         place = {k: i for i, k in enumerate(part.segments.tolist())}
-        for line, whole, (since, a, b, c, d) in zip(
+        for line, whole, (since, *cubic) in zip(
             reels(part.whole), whole_lengths(part.whole), self.reel
         ):
-            if (a, b, c, d) == (whole, 0.0, 0.0, 0.0):
+            if cubic == [whole, 0.0, 0.0, 0.0]:
                 continue
-            paying = next(k for k in line.segments if k in place)
-            rest = sum(part.whole.rest_length_m[k] for k in line.segments if k in place)
-            past = time_s - since
-            i, others = place[paying], rest - part.whole.rest_length_m[paying]
-            length = ((d * past + c) * past + b) * past + a
-            rate = (3.0 * d * past + 2.0 * c) * past + b
-            cubics[i] = length - others, rate, 3.0 * d * past + c, d
+            paying, *others = [k for k in line.segments if k in place]
+            cubics[place[paying]] = cubic_from(cubic, time_s - since)
+            cubics[place[paying], 0] -= part.whole.rest_length_m[others].sum()
         return cubics
-
-
-def _index(what, name, names):
-    if name not in names:
-        raise TssError(f"{what} is {name!r:.80}; allowed: {', '.join(names):.200}")
-    return names.index(name)
 
 
 @kernel

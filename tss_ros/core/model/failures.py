@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.system import System, finite
 
@@ -73,14 +73,14 @@ class Failure:
             If there is none of its name.
         """
         if self.kind == CUT:
-            return _index("tether", self.target, system.tether_name)
+            return index_of("tether", self.target, system.tether_name)
         return thruster(system, self.target)
 
     def check(self, system: System) -> None:
         """Raise TssError if it does not fit a system."""
         self.place(system)
         if self.tether:
-            _index("tether", self.tether, system.tether_name)
+            index_of("tether", self.tether, system.tether_name)
 
     def shows(self, system: System, tension_n: np.ndarray, taut: np.ndarray) -> np.ndarray:
         """Whether states show its event: shape (k,) for tensions and modes of shape (k, m)."""
@@ -131,7 +131,7 @@ def thruster(system: System, name: str) -> int:
         If no satellite has it.
     """
     satellites = [system.bead_name[i] for i in np.flatnonzero(system.is_satellite)]
-    _index("satellite", name, satellites)
+    index_of("satellite", name, satellites)
     return system.bead_name.index(name)
 
 
@@ -272,11 +272,3 @@ class FailureWatch:
         found = [i for i, k in first.items() if k == state]
         self.due[found] = False
         return state, [self._failures[i] for i in found]
-
-
-def _index(what, name, names):
-    if name not in names:
-        raise TssError(
-            f"{what} is {name!r:.80}; allowed: {', '.join(names):.200}{near_match(name, names)}"
-        )
-    return names.index(name)

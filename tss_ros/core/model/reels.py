@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.system import State, System
 
 #: Share of its rest length at which the segment next to the reel is given a bead of its own.
@@ -94,6 +94,11 @@ def reels(system: System) -> tuple[Reel, ...]:
     return tuple(found)
 
 
+def reel_names(system: System) -> tuple[str, ...]:
+    """Names of the whole tethers."""
+    return tuple(reel.name for reel in reels(system))
+
+
 def reel_index(system: System, name: str) -> int:
     """Index into `reels` of a tether.
 
@@ -102,12 +107,7 @@ def reel_index(system: System, name: str) -> int:
     TssError
         If there is none of that name.
     """
-    names = [reel.name for reel in reels(system)]
-    if name not in names:
-        raise TssError(
-            f"tether is {name!r:.80}; allowed: {', '.join(names):.200}{near_match(name, names)}"
-        )
-    return names.index(name)
+    return index_of("tether", name, reel_names(system))
 
 
 def whole_lengths(system: System) -> np.ndarray:
@@ -115,7 +115,7 @@ def whole_lengths(system: System) -> np.ndarray:
     return np.array([system.rest_length_m[list(reel.segments)].sum() for reel in reels(system)])
 
 
-def lengths_out(
+def deployed_lengths(
     system: System, deployed_m: Mapping[str, float] | float | None = None
 ) -> np.ndarray:
     """Rest length [m] that is out of each whole tether, shape (p,).
@@ -135,7 +135,7 @@ def lengths_out(
     if deployed_m is None:
         return lengths
     if not isinstance(deployed_m, Mapping):
-        deployed_m = {reel.name: deployed_m for reel in reels(system)}
+        deployed_m = dict.fromkeys(reel_names(system), deployed_m)
     for name, length_m in deployed_m.items():
         place = reel_index(system, name)
         if not SHORTEST_M <= length_m < NEVER_M:
@@ -244,7 +244,7 @@ def deployed_system(
     ----------
     system : System
     deployed_m : dict of str to float, or float
-        As in `lengths_out`.
+        As in `deployed_lengths`.
 
     Returns
     -------
@@ -252,7 +252,7 @@ def deployed_system(
         Of the beads that are out, with the rest lengths that are out, and a layout scaled along.
     Deployment
     """
-    lengths = lengths_out(system, deployed_m)
+    lengths = deployed_lengths(system, deployed_m)
     out = [reel.segments_out(length) for reel, length in zip(reels(system), lengths)]
     part = deployment(system, out)
     rest = segment_rests(system, lengths, np.zeros_like(lengths))[0][part.segments]

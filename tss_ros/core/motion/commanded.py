@@ -215,28 +215,31 @@ class CommandedMotion:
         edges[-1:] = edges[-1][1].reels_that_stop(edges[-1][0])
         edges.append((math.inf, None))
         for (edge, commands), (until, _) in zip(edges, edges[1:]):
+            self._check(commands)
             commands.check_reels(system, before, edge, until)
             legs += [_Leg(t, commands, out) for t, out in commands.hand_overs(system, edge, until)]
             before = commands
-        for leg in legs:
-            self._with(leg)
-        return [leg for leg in legs if leg.edge > begun or kept and leg.edge == kept[0][0]]
+        return legs[1:]  # the first is what acts already
+
+    def _check(self, commands):
+        """Raise TssError if something acts that the integrator or the feedback does not allow."""
+        pushes = commands.pushes
+        explicit = self._free(self._base.out)[1].settings.kind == EXPLICIT
+        if explicit and (pushes or commands.unreels):
+            what = "forces of thrusters" if pushes else "reels that move"
+            raise TssError(f"integrator 'taylor' bears no {what}: choose auto or radau")
+        keeps_shape = self._system.law_parameters[SHAPE_KEEPING.name]
+        if keeps_shape and not commands.all_out(self._system):
+            raise TssError(f"{SHAPE_KEEPING.name} keeps one shape, but a rest length is to change")
 
     def _with(self, leg):
         """The integrator of a leg."""
         part, free = self._free(leg.out)
-        pushes, unreels = leg.commands.pushes, leg.commands.unreels
-        if (pushes or unreels) and free.settings.kind == EXPLICIT:
-            what = "forces of thrusters" if pushes else "reels that move"
-            raise TssError(f"integrator 'taylor' bears no {what}: choose auto or radau")
-        keeps_shape = self._system.law_parameters[SHAPE_KEEPING.name]
-        if keeps_shape and not leg.commands.all_out(self._system):
-            raise TssError(f"{SHAPE_KEEPING.name} keeps one shape, but a rest length is to change")
         other = copy.copy(free)
         other.arrays = leg.commands.in_arrays(
             free.arrays, part, free.spin, since_s=self._since_s, time_s=max(leg.edge, 0.0)
         )
-        if pushes or unreels:
+        if leg.commands.pushes or leg.commands.unreels:
             other.settings = free.settings._replace(kind=IMPLICIT)
         other._table = None
         return other
@@ -300,8 +303,7 @@ class CommandedMotion:
         self._integrator = self._with(leg)
         if leg.out != before.out:
             self._hand_over(before)
-        elif any(map(np.any, (leg.commands.cut != before.commands.cut,
-                              leg.commands.reel != before.commands.reel))):  # fmt: skip
+        elif leg.commands._replace(force_n=before.commands.force_n) != before.commands:
             self._set_modes()
 
     def _hand_over(self, before):

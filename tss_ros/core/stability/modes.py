@@ -52,12 +52,12 @@ def multipliers(matrix: np.ndarray, planar: bool) -> tuple[np.ndarray, np.ndarra
     vectors : ndarray, shape (6n, 6n), complex
         Columns, of norm 1.
     """
-    if not planar:
-        value, vectors = np.linalg.eig(matrix)
-        return value.astype(complex), vectors.astype(complex)
-    size = len(matrix)
-    value, vectors = np.empty(size, complex), np.zeros((size, size), complex)
-    above = np.arange(size) % 3 == 2
+    return eigen(matrix, (np.arange(len(matrix)) % 3 == 2) & planar)
+
+
+def eigen(matrix: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of any matrix; rows that are `above` the plane know nothing of the others."""
+    value, vectors = np.empty(len(matrix), complex), np.zeros(matrix.shape, complex)
     first = 0
     for rows in (np.flatnonzero(~above), np.flatnonzero(above)):
         part = slice(first, first + rows.size)

@@ -12,6 +12,7 @@ Prince's method of order 8). Light beads with much damping make that long.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,8 +31,8 @@ from tss_ros.core.motion.propagator import Integrator
 from tss_ros.core.numerics.simd import python_allocating, python_kernel
 from tss_ros.core.presentation import Presented
 from tss_ros.core.stability.judge import DRIVEN, drift_radius, judge
-from tss_ros.core.stability.modes import label, stays_in_plane
-from tss_ros.core.stability.shooting import flow_direction
+from tss_ros.core.stability.modes import eigen, label, stays_in_plane
+from tss_ros.core.stability.shooting import flow_direction, to_scaled
 
 #: Relative error of the integration, and the step of differences over the scale of a variable.
 RTOL, DIFFERENCE = 1e-11, 1e-6
@@ -128,11 +129,7 @@ class ReelControlResult(Presented):
     def largest(self, family: str, in_plane: bool) -> float:
         """Largest modulus of a family in the orbit plane or out of it; NaN if there is none."""
         chosen = (np.array(self.family) == family) & (self.in_plane == in_plane)
-        return (
-            float(np.max(np.abs(self.multiplier[chosen]), initial=-np.inf))
-            if chosen.any()
-            else math.nan
-        )
+        return float(np.max(np.abs(self.multiplier[chosen]))) if chosen.any() else math.nan
 
 
 @python_kernel
@@ -194,6 +191,9 @@ class _Loop:
         length = float(np.max(np.linalg.norm(start.position_m, axis=1)))
         spin = system.spin_rate_rad_s(spin_rate_ratio)
         self.integrator = Integrator(system, spin, RTOL, length)
+        # Vectors are of the orbit frame, where a circle's forces do not depend on time.
+        self.in_orbit = copy.copy(self.integrator)
+        self.in_orbit.arrays = self.integrator.arrays._replace(spin=0.0)
         lines = reels(system)
         chosen = range(len(lines)) if names is None else [reel_index(system, x) for x in names]
         self.reeled = np.array([lines[i].segments[0] for i in chosen], dtype=np.int64)
@@ -212,11 +212,7 @@ class _Loop:
         if self.planar:
             self.free = np.delete(self.free, np.s_[2::3])
         self.free = np.concatenate([self.free, 6 * n + np.arange(self.reeled.size)])
-        self.start = np.concatenate([self._scaled(start), rest / settings.length])
-
-    def _scaled(self, state):
-        """Velocities over the rim speed and positions over the radius, in the orbit frame."""
-        return self.integrator.scaled(state.velocity_m_s, state.position_m)
+        self.start = np.concatenate([to_scaled(self.in_orbit, start), rest / settings.length])
 
     def state(self, x):
         """The `State` of a scaled vector."""
@@ -273,7 +269,7 @@ class _Loop:
             jacobian[:k, k] = (shoot(x, loss + SMALL_LOSS, kick)[0] - left) / SMALL_LOSS
             jacobian[:k, k + 1] = along[self.free]
             flow = np.zeros(size)
-            flow[: 6 * self.system.n] = flow_direction(self.integrator, self.state(x))
+            flow[: 6 * self.system.n] = flow_direction(self.in_orbit, self.state(x))
             jacobian[k, :k], jacobian[k + 1, :k] = flow[self.free], places[self.free]
             change = np.linalg.lstsq(jacobian, -np.append(left, [0.0, 0.0]), rcond=1e-12)[0]
             for share in (1.0, 0.5, 0.25, 0.125):
@@ -339,11 +335,10 @@ def compute_reel_control(
         _require_taut(system, loop.reeled, samples)
     above = np.zeros(loop.unit.size, dtype=bool)
     above[2:size:3] = loop.planar
-    multiplier, vectors = _eigen(matrix, above)
-    out = np.any(np.abs(vectors[above]) > 0.0, axis=0) if loop.planar else np.zeros(0, dtype=bool)
-    if not loop.planar:
-        out = np.zeros(multiplier.size, dtype=bool)
-    family = label(integrator, state, multiplier, _turning(loop, vectors[:size]))
+    multiplier, vectors = eigen(matrix, above)
+    out = np.any(np.abs(vectors[above]) > 0.0, axis=0)
+    family = label(loop.in_orbit, state, multiplier, vectors[:size])
+    loss = integrator.lost(loss)
     drift = DRIVEN * abs(spin_rate_ratio) * abs(loss)
     radius = drift_radius(residual, drift)
     judged = judge(multiplier, family, radius, periodic, drift=drift, above=out)
@@ -364,28 +359,6 @@ def compute_reel_control(
         closure_residual=residual,
         spin_loss=loss,
     )  # fmt: skip
-
-
-def _eigen(matrix, above):
-    """Eigenvalues and eigenvectors; apart for what is above the plane of a planar motion."""
-    value, vectors = np.empty(len(matrix), complex), np.zeros(matrix.shape, complex)
-    first = 0
-    for rows in (np.flatnonzero(~above), np.flatnonzero(above)):
-        part = slice(first, first + rows.size)
-        value[part], vectors[rows, part] = np.linalg.eig(matrix[np.ix_(rows, rows)])
-        first += rows.size
-    return value, vectors
-
-
-def _turning(loop, vectors):
-    """Vectors (6n, k) of the orbit frame in the turning frame."""
-    integrator = loop.integrator
-    v, r = vectors.reshape(2, loop.system.n, 3, -1)
-    share = integrator.arrays.spin * integrator.settings.length / integrator.settings.speed
-    turned = v.copy()
-    turned[:, 0] += share * r[:, 1]
-    turned[:, 1] -= share * r[:, 0]
-    return np.stack([turned, r]).reshape(vectors.shape)
 
 
 def _require_taut(system, reeled, samples):
