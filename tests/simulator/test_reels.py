@@ -148,7 +148,7 @@ NAN, BIG = math.nan, 1e30
 OPTIONS = {"reel_rate_limit_m_s": 1.0, "reel_shortest_m": 1.0, "reel_longest_m": 0.0}
 OPTIONS["command_timeout_s"] = 0.0
 HOSTILE = [
-    ({"name": "tether_9", "velocity": [1.0]}, "no whole tether 'tether_9'; allowed: tether_1"),
+    ({"name": "tether_9", "velocity": [1.0]}, "tether is 'tether_9'; allowed: tether_1"),
     ({"name": [], "velocity": []}, "name is empty; allowed: tether_1, tether_2, tether_3"),
     ({"name": ["tether_1"] * 2, "velocity": [1.0, 1.0]}, "name has tether_1 more than once"),
     ({"name": "tether_1"}, "position and velocity are empty; allowed: one of them or both"),
