@@ -351,7 +351,8 @@ def _with_failures(system, again, acting, t_s, cancelled):
     watch = FailureWatch(system, failures)
     happened, found = watch.timed(), True
     while found:
-        acting = news_alone(system, [c[:2] for c in with_failures(system, plan, happened)])
+        changes = (change[:2] for change in with_failures(system, plan, happened))
+        acting = news_alone(Commands.none(system), changes)
         propagator = again(plan=acting)
         position_m, velocity_m_s = propagator.sample(t_s, cancelled)
         # A motion begins with what acts from time 0 on.

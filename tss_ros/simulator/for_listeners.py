@@ -12,9 +12,6 @@ from tss_ros.simulator import odometry, sensor_topics
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample
 
-#: The topics of odometry, one for each satellite.
-ODOMETRY = "{satellite}/odom"
-
 
 def check(options: Mapping[str, Any], system: System) -> None:
     """Check the parameters that ask for it.
@@ -41,7 +38,7 @@ class ForListeners:
 
     def __init__(self, node: Node, topics: Mapping[str, Topic], frame_prefix: str) -> None:
         self._sensors = sensor_topics.SensorPublishers(node, topics, frame_prefix + FRAME_ID)
-        own = odometry.OdometryPublishers(node, topics[ODOMETRY], frame_prefix)
+        own = odometry.OdometryPublishers(node, topics[odometry.TOPIC], frame_prefix)
         self._all = own, self._sensors
 
     @property

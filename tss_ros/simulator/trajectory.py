@@ -19,6 +19,7 @@ from tss_ros.core import (
     System,
     orbit_elements,
 )
+from tss_ros.core.model.failures import news_alone
 from tss_ros.core.model.reel_plans import rests_over
 from tss_ros.messages.steps import States
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
@@ -123,7 +124,7 @@ class Trajectory:
         self._start = state, plan
         self._propagator = self._new_propagator()
         # What acts before the first edge that is to come or may be taken back, and these edges.
-        self._base, self._plan = self._propagator.commands, _news(plan[0][1], plan)
+        self._base, self._plan = self._propagator.commands, news_alone(plan[0][1], plan)
         self._cancelled = threading.Event()
         self._pool = ThreadPoolExecutor(max_workers=1)
         self._rows, self._future = deque(), None
@@ -200,7 +201,7 @@ class Trajectory:
 
         What has been integrated ahead without knowing of it is given up.
         """
-        plan = _news(self._base, [e for e in self._plan if e[0] < edges[0][0]] + edges)
+        plan = news_alone(self._base, [e for e in self._plan if e[0] < edges[0][0]] + edges)
         if plan == self._plan:
             return
         self._interrupt()
@@ -256,13 +257,3 @@ class Trajectory:
         states = compute_states(self._setup, self._propagator, first, count, self._cancelled.is_set)
         end = make_checkpoint(self._propagator, first + count - 1)
         return _Chunk(states, end, time.monotonic() - begun)
-
-
-def _news(acting, edges):
-    """The edges at which something else comes to act."""
-    found = []
-    for edge, commands in edges:
-        if commands != acting:
-            found.append((edge, commands))
-            acting = commands
-    return found

@@ -194,10 +194,10 @@ def _acting(commanded, cut, failed):
 
 
 def news_alone(
-    system: System, edges: Iterable[tuple[float, Commands]]
+    acting: Commands, edges: Iterable[tuple[float, Commands]]
 ) -> list[tuple[float, Commands]]:
-    """Edges without those at which nothing changes."""
-    kept, acting = [], Commands.none(system)
+    """The edges at which something else comes to act than before, at first than `acting`."""
+    kept = []
     for time, commands in edges:
         if commands != acting:
             kept.append((time, commands))
