@@ -26,6 +26,7 @@ print(a[0, 1] / system.orbit_rate_rad_s**2, sum(forces.acceleration.stats.cache_
 """
 
 
+@pytest.mark.long
 def test_a_law_that_is_edited_is_compiled_anew_wherever_it_is_inlined(tmp_path):
     package = tmp_path / "tss_ros"
     shutil.copytree(

@@ -84,7 +84,7 @@ def run(start, client, scale, duration_s, seed=16):
 
 
 @pytest.mark.parametrize("duration_s", [6.0, pytest.param(60.0, marks=pytest.mark.long)])
-@pytest.mark.parametrize("scale", [1.0, 10.0])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(10.0, marks=pytest.mark.long)])
 def test_time_is_never_ahead_by_more_than_a_step(start, client, scale, duration_s):
     simulated_s, ahead_s, results, told = run(start, client, scale, duration_s)
     assert simulated_s > 0.1 * duration_s * scale

@@ -281,7 +281,7 @@ def measurements(bag):
     return found
 
 
-@pytest.mark.parametrize("in_bulk", [False, True])
+@pytest.mark.parametrize("in_bulk", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_measurements_are_recorded_all_of_them_and_played(start, client, tmp_path, in_bulk):
     logger = start("logger_node", output="bag", in_bulk=in_bulk)
     given = {"publish_period_s": 2.0, "sensor_period_s": 4.0, "sensor_seed": 1}
