@@ -31,7 +31,7 @@ from tss_interfaces.msg import BeadStates, SimulationEvent, SimulationStatus, Sy
 START_S = 90.0
 _numbers = itertools.count()
 #: How long [s] a node may take to end after SIGINT or SIGTERM.
-STOP_S = 2.0
+STOP_S = 6
 #: The command `sweep`; it needs no ROS.
 SWEEP = [
     sys.executable, "-c", "import sys; from tss_ros.sweeps.command import main; sys.exit(main())"

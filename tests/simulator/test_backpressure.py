@@ -19,8 +19,9 @@ class Run:
     def __init__(self, patience_s=60.0):
         self.warnings = []
         self._wake = threading.Event()
-        logger = SimpleNamespace(warning=self.warnings.append)
-        self.flow = FlowControl(WINDOW, logger, self._wake.set, patience_s)
+        self.present = 0
+        logger = SimpleNamespace(warning=lambda text, **_: self.warnings.append(text))
+        self.flow = FlowControl(WINDOW, logger, self._wake.set, patience_s, lambda: self.present)
         self.stopped, self.ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._publish, daemon=True)
 
@@ -97,6 +98,22 @@ def test_while_a_recorder_joins_steps_go_out_slowly(run, report):
     assert run.stays_at(7 + WINDOW)
 
 
+def test_a_recorder_that_came_is_waited_for_before_its_first_word(run, monkeypatch):
+    """Steps go out slowly meanwhile, and as before if none comes."""
+    monkeypatch.setattr(backpressure, "COME_S", 0.5)
+    monkeypatch.setattr(backpressure, "UNHEARD_S", 0.5)
+    run.present = 1
+    begun = time.monotonic()
+    run.start(100_000)
+    run.reaches(5)
+    assert time.monotonic() - begun > 4 * backpressure.JOIN_STEP_S
+    run.flow.check("recorder_status")
+    assert not run.warnings
+    assert run.ended.wait(20)
+    run.flow.check("recorder_status")
+    assert len(run.warnings) == 1 and "but nothing comes" in run.warnings[0]
+
+
 def test_a_recorder_that_gets_nothing_holds_it_only_for_a_while(run, monkeypatch):
     monkeypatch.setattr(backpressure, "JOIN_STEPS", 5)
     run.start(100_000)
@@ -121,7 +138,7 @@ def test_recorders_that_left_are_forgotten(run):
     run.report(0)
     run.start(100)
     assert run.stays_at(WINDOW)
-    run.flow.on_recorders_gone()
+    run.flow.check("recorder_status")
     assert run.ended.wait(5)
 
 

@@ -123,6 +123,7 @@ class LoggerNode(TssNode):
         self._note_lost()
         self._writer.close()
         self._reporter.join(timeout=0.5)
+        self._report(recording=False)
         if self._live:
             self._live.stop()
         print(
@@ -206,6 +207,9 @@ class LoggerNode(TssNode):
     def _begin_run(self):
         self._writer.next_file()
         self._incomplete.clear()
+        self._last_step = -1
+        for topic in self._topics:
+            topic.newest_ns = None
 
     def _record(self, message):
         topic, taken, block = message
@@ -232,12 +236,11 @@ class LoggerNode(TssNode):
             self._live.take(topic.name, data)
         if topic.name == "bead_states":
             if self._incomplete and topic.newest_ns < self._incomplete[-1][0]:
-                # The simulator was reset or started anew: time cannot tell what is missing yet.
+                # Steps that begin anew without a description: time cannot tell what is missing yet.
                 self._incomplete.clear()
             self._incomplete.append((topic.newest_ns, step_number(data)))
         # A topic may lag behind the others by seconds when the middleware repeats a message.
-        newest = [t.newest_ns for t in self._topics if t.every_step]
-        slowest_ns = min((time for time in newest if time is not None), default=-1)
+        slowest_ns = min(t.reached_ns for t in self._topics if t.every_step)
         while self._incomplete and self._incomplete[0][0] <= slowest_ns:
             self._last_step = self._incomplete.popleft()[1]
         self._report_steps()
@@ -273,12 +276,12 @@ class LoggerNode(TssNode):
         while not self._stopping.wait(STATUS_PERIOD_S):
             self._report()
 
-    def _report(self):
+    def _report(self, recording=True):
         self._reported_step = self._last_step
         status = RecorderStatus(
             stamp=Time(nanoseconds=time.time_ns()).to_msg(),
             output=str(self._writer.directory.absolute()),
-            recording=True,
+            recording=recording,
             matched=bool(self._topics)
             and all(
                 topic.subscription.get_publisher_count()
@@ -289,11 +292,7 @@ class LoggerNode(TssNode):
             messages=self._writer.message_count,
             lost=self._lost,
         )
-        try:
-            self._status.publish(status)
-        except Exception:
-            if self.context.ok():  # else a signal ended the context a moment ago
-                raise
+        self._status.publish(status)
 
     def _diagnose(self):
         self._watch.look()

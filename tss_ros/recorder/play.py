@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -27,7 +26,7 @@ from tss_ros.core import TssError
 from tss_ros.recorder.older import converter
 from tss_ros.ros import messages
 from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import CLOCK_RATE_HZ, MAX_DEPTH, message_class
+from tss_ros.ros.topics import CLOCK_RATE_HZ, MAX_DEPTH, message_class, wait_until_acked
 from tss_ros.scenarios.files import load_yaml
 
 RCLError = rclpy_implementation.RCLError
@@ -114,15 +113,12 @@ class PlayNode(TssNode):
             self._stopping.wait(self._options.delay)
             damage = list(self._files.damage)
             count = sum(self._play_file(path, damage) for path in self._files.paths)
-            deadline = time.monotonic() + LISTENER_FINISH_S
-            for publisher in self._publisher.values():
-                left_s = max(0.0, deadline - time.monotonic())
-                publisher.wait_for_all_acked(Duration(seconds=left_s))
+            wait_until_acked(self._publisher.values(), LISTENER_FINISH_S)
             if not self._stopping.is_set():
                 print(f"{self._options.bag}: {count} messages played", flush=True)
                 self.finish(BagError(damage_in_words(damage)) if damage else None)
         except Exception as error:
-            if not self._stopping.is_set() and self.context.ok():
+            if not self._stopping.is_set():
                 self.finish(error)
 
     def _play_file(self, path, damage):

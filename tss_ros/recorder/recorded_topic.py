@@ -1,5 +1,6 @@
 """A topic that is recorded: takes all messages that wait, and knows losses and malformed ones."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -60,7 +61,7 @@ class RecordedTopic(Waitable):
     heard : int
         Messages that came.
     newest, newest_ns : bytes and int, or None
-        Newest message that was recorded, and newest simulation time [ns] among the messages.
+        Newest message that was recorded, and newest simulation time [ns] of the run at hand.
     """
 
     def __init__(
@@ -98,6 +99,17 @@ class RecordedTopic(Waitable):
     def full_name(self) -> str:
         """Name with namespace."""
         return self.subscription.topic_name
+
+    @property
+    def reached_ns(self) -> float:
+        """Simulation time [ns] up to which this topic holds nothing back.
+
+        Before its first message that is -inf if somebody publishes it, as the middleware may repeat
+        it seconds later than the others.
+        """
+        if self.newest_ns is not None:
+            return self.newest_ns
+        return -math.inf if self.subscription.get_publisher_count() else math.inf
 
     def waiting(self, limit: int | None = None) -> list[Message]:
         """Take the well-formed messages that wait, among the first `limit` of them."""

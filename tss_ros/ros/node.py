@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -16,20 +17,19 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
+from rclpy.executors import SingleThreadedExecutor, await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from tss_ros.core import TssError
 from tss_ros.ros.network import joined, stay_on_this_machine
 
-#: Longest time [s] between the end of the context by a signal and the call of our handler.
-HANDLER_DELAY_S = 0.5
 #: Keeps as many requests, and answers to them, for those who are slow; the middleware drops more.
 REQUESTS_QOS = QoSProfile(depth=1000)
 #: Every client of a service gets the answers to all of them, and keeps ten that it has not read. So
@@ -57,7 +57,10 @@ class TssNode(Node):
         """Begin the work; the executor spins next."""
 
     def stop(self) -> None:
-        """End the work within a second; called once, before the node is destroyed."""
+        """End the work within seconds; called once, before the node is destroyed.
+
+        It may still publish, and wait for those who listen.
+        """
 
     def create_service(
         self, srv_type: type, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
@@ -172,34 +175,38 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
         Subclass of TssNode, made without arguments.
     """
     stay_on_this_machine()
-    # rclpy's handlers, installed by init, shut the context down and then call these: the executor
-    # ends between two callbacks, and no KeyboardInterrupt tears a message that is being written.
-    told_to_stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: told_to_stop.set())
     name = node_class.__module__.rpartition(".")[2]
     node, status = None, 0
+    told_to_stop = threading.Event()
+
+    def on_signal(*_):
+        told_to_stop.set()
+        if node is None:
+            raise KeyboardInterrupt
+
+    # Not rclpy's handlers, which shut the context down at once: what was published last could not
+    # be waited for. The executor ends between two callbacks, and no message is torn.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
     try:
         # rcl logs that parsing failed and then raises an error that says why; the latter is enough.
         set_logger_level("rcl", LoggingSeverity.FATAL)
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         executor = SingleThreadedExecutor()
+        _wake_on_signals(executor)
         with joined():
             node = node_class()
         executor.add_node(node)
         node.start()
-        # Not spin(): rclpy's handler may wake the executor before it has shut the context down.
         while not told_to_stop.is_set():
             executor.spin_once(timeout_sec=0.5)
-    except (KeyboardInterrupt, ExternalShutdownException, Finished):
+    except (KeyboardInterrupt, Finished):
         pass
     except Exception as error:
-        # rclpy shuts the context down a moment before our own handler is called.
-        if rclpy.ok() or not told_to_stop.wait(HANDLER_DELAY_S):
-            if not isinstance(error, USER_ERRORS):
-                raise
-            status = _print_error(name, error)
+        if not isinstance(error, USER_ERRORS):
+            raise
+        status = _print_error(name, error)
     finally:
         if node is not None:
             try:
@@ -213,6 +220,19 @@ def run(node_class: Callable[[], TssNode]) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
+
+
+def _wake_on_signals(executor):
+    """Wake an executor at every signal: Python calls no handler while it waits."""
+    told, tell = socket.socketpair()
+    tell.setblocking(False)
+    signal.set_wakeup_fd(tell.fileno())
+
+    def pass_on(_keep=tell):
+        while told.recv(1):
+            executor.wake()
+
+    threading.Thread(target=pass_on, daemon=True).start()
 
 
 def _print_error(name, error):

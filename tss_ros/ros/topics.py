@@ -2,9 +2,12 @@
 
 import functools
 import importlib
+import time
 import warnings
+from collections.abc import Iterable
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
@@ -92,6 +95,16 @@ def publishers(node: Node, topic: str) -> dict[bytes, str]:
         name = f"{info.node_namespace.rstrip('/')}/{info.node_name}" if known else ""
         names[bytes(info.endpoint_gid)] = name
     return names
+
+
+def wait_until_acked(publishers: Iterable[Publisher], timeout_s: float) -> bool:
+    """Wait, so long [s] at most, until all that was published has arrived; whether it has."""
+    deadline = time.monotonic() + timeout_s
+    arrived = True
+    for publisher in publishers:
+        left_s = max(0.0, deadline - time.monotonic())
+        arrived &= publisher.wait_for_all_acked(Duration(seconds=left_s))
+    return arrived
 
 
 def _check_depth(qos):

@@ -15,6 +15,9 @@ SILENCE_S = 2.0
 JOIN_STEP_S, JOIN_STEPS = 0.05, 100
 #: Recorders that are kept account of.
 MOST_RECORDERS = 100
+#: A recorder that has come and says nothing yet is waited for in the same way for so long [s]; how
+#: often [s] to look whether one has come; after so long [s] it is said that nothing comes.
+COME_S, LOOK_S, UNHEARD_S = 2.0, 0.002, 3.0
 #: Steps that have not reached a joining recorder after this long [s] never will.
 JOIN_S = 5.0
 
@@ -63,6 +66,8 @@ class FlowControl:
     patience_s : float
         How long [s] a recorder that has no more steps than before may hold the simulator; 0: none
         may.
+    present : callable
+        How many recorders the middleware has found.
     """
 
     def __init__(
@@ -71,12 +76,15 @@ class FlowControl:
         logger: Logger,
         on_change: Callable[[], None],
         patience_s: float = math.inf,
+        present: Callable[[], int] = lambda: 0,
     ) -> None:
         self._published, self._published_at = -1, time.monotonic()
         self._window = window
         self._logger = logger
         self._on_change = on_change
         self._patience_s = patience_s
+        self._present, self._were_present = present, 0
+        self._looked_at = self._come_at = -math.inf
         self._recorders = {}
         self._holding = {}  # by output: at which step it has held the simulator, and since when
         self._unheard = set()  # outputs of recorders that are known to get nothing
@@ -119,21 +127,32 @@ class FlowControl:
                 )
         self._on_change()
 
-    def on_recorders_gone(self) -> None:
-        """Go on without recorders, as the middleware says that the last one has left."""
-        with self._lock:
-            self._recorders.clear()
-        self._on_change()
+    def check(self, topic: str) -> None:
+        """Forget recorders if the last one has left; say if one is there but silent on `topic`."""
+        self._look()
+        if not self._were_present:
+            with self._lock:
+                self._recorders.clear()
+            self._on_change()
+        elif not self._recorders and time.monotonic() - self._come_at > UNHEARD_S:
+            self._logger.warning(
+                f"somebody publishes {topic}, but nothing comes; not waiting for that recorder",
+                throttle_duration_sec=10.0,
+            )
 
     def ready(self, drain: bool = False) -> bool:
         """Whether the next step may be published; with `drain`, whether all have everything."""
-        if not self._recorders or not self._patience_s:
+        if not self._patience_s:
+            return True
+        since_s = time.monotonic() - self._published_at
+        if self._awaits_word() and since_s < JOIN_STEP_S:
+            return False
+        if not self._recorders:
             return True
         with self._lock:
             self._forget_silent()
             recorders = list(self._recorders.items())
         ahead = 0 if drain else self._window - 1
-        since_s = time.monotonic() - self._published_at
         for output, recorder in recorders:
             behind = self.published - recorder.step
             if recorder.joining:
@@ -147,6 +166,19 @@ class FlowControl:
             elif behind > ahead and self._waits_for(output, recorder.step):
                 return False
         return True
+
+    def _awaits_word(self):
+        """Whether a recorder came a moment ago and has not said where it stands."""
+        now = time.monotonic()
+        if now - self._looked_at > LOOK_S:
+            self._look()
+        return self._were_present > len(self._recorders) and now - self._come_at < COME_S
+
+    def _look(self):
+        self._looked_at, before = time.monotonic(), self._were_present
+        self._were_present = self._present()
+        if self._were_present > before:
+            self._come_at = self._looked_at
 
     def _waits_for(self, output, step):
         """Whether a recorder that stands at this step has not held the simulator too long."""

@@ -24,8 +24,9 @@ MOST_REQUESTS = 1000
 BEGIN_CHECK_S = 0.05
 #: How often [s] `on_idle` is called at least.
 IDLE_S = 0.1
-#: How long [s] a new run and a finished simulator wait for recorders to have all that went before.
-DRAIN_S, FINISH_S = 0.3, 10.0
+#: How long [s] a new run, a finished simulator and one that is stopped wait for recorders to have
+#: all that went before. The middleware repeats as late as 3 s what was lost on its way.
+DRAIN_S, FINISH_S, STOP_S = 0.3, 10.0, 4.0
 
 
 class PlayState(enum.IntEnum):
@@ -95,7 +96,7 @@ class Control:
         self._publish, self._on_idle, self._logger = publish, on_idle, logger
         self._batch = batch
         self._requests, self._lock = deque(), threading.Lock()
-        self._begun = self._stopping = self._ended = False
+        self._begun = self.stopping = self._ended = False
         # Until then, or until its state is out, a new run waits for recorders to have the old one.
         self._drain_until = 0.0
         self._changing = []  # requests that are answered when the next state is out
@@ -147,7 +148,7 @@ class Control:
 
     def stop(self) -> None:
         """Make `run_until_end` return soon."""
-        self._stopping = True
+        self.stopping = True
         self._wake.set()
 
     # --- what requests may ask for; in the simulation's thread only
@@ -265,7 +266,7 @@ class Control:
             If the motion cannot be continued and `batch` is true.
         """
         try:
-            while not self._stopping and self.state != PlayState.QUITTING:
+            while not self.stopping and self.state != PlayState.QUITTING:
                 self._wake.clear()
                 self._serve()
                 if self.simulation.at_end and not self._changing:
@@ -363,16 +364,24 @@ class Control:
             self._pace.run(self.state == PlayState.PLAYING)
             made = self._steps_asked - self._steps_left
             answer, self._stepping = self._stepping, None
-            answer.set_exception(
-                Refused(
-                    Code.OPERATION_FAILED, f"{made} of {self._steps_asked} steps were taken: {why}"
-                )
-            )
+            why = f"{made} of {self._steps_asked} steps were taken: {why}"
+            answer.set_exception(Refused(Code.OPERATION_FAILED, why))
 
     def _finish(self):
         """Let the last steps reach the recorders."""
-        if self._stopping or self.step < 0:
+        if self.step < 0:
             return
+        if not self.stopping:
+            self._tell_end()
+        deadline = time.monotonic() + (STOP_S if self.stopping else FINISH_S)
+        while not self._flow.ready(drain=True):
+            if time.monotonic() > deadline:
+                self._logger.warning("a recorder did not confirm the last steps")
+                return
+            self._wake.clear()
+            self._wake.wait(min(self._on_idle(), IDLE_S))
+
+    def _tell_end(self):
         wall_s = time.monotonic() - self._started
         setup = self.simulation.setup
         turns = self.simulation.newest.time_ns / 1e9 / setup.turn_s
@@ -380,14 +389,6 @@ class Control:
             f"{self.step + 1} steps, {turns:.2f} {setup.turn}s, in {wall_s:.2f} s; "
             f"tethers switched between slack and taut {self.simulation.switches} times"
         )
-        deadline = time.monotonic() + FINISH_S
-        while not self._flow.ready(drain=True) and not self._stopping:
-            if time.monotonic() > deadline:
-                self._logger.warning("a recorder did not confirm the last steps")
-                return
-            self._wake.clear()
-            self._on_idle()
-            self._wake.wait(IDLE_S)
 
     def _end(self):
         with self._lock:

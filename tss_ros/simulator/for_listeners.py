@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from tss_ros.core import System
 from tss_ros.messages.steps import FRAME_ID
@@ -65,6 +66,7 @@ class ForListeners:
         for publishers in self._all:
             publishers.publish_again(sample, name)
 
-    def wait_for_recorder(self, timeout_s: float) -> None:
-        """Wait, so long [s] at most, until all measurements have arrived."""
-        self._sensors.wait_for_all_acked(timeout_s)
+    @property
+    def recorded(self) -> list[Publisher]:
+        """Publishers of what is recorded."""
+        return self._sensors.publishers

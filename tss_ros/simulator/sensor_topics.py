@@ -1,13 +1,12 @@
 """The topics of measurements: relative states of satellites, and tethers' ranges and tensions."""
 
 import dataclasses
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from geometry_msgs.msg import Vector3
-from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 from tss_interfaces.msg import RelativeStates, TetherMeasurements
 
@@ -87,12 +86,10 @@ class SensorPublishers:
             if own == name and self._measured is not None:
                 publisher.publish(self._message(observer))
 
-    def wait_for_all_acked(self, timeout_s: float) -> None:
-        """Wait, so long [s] at most, until all that was published has arrived."""
-        deadline = time.monotonic() + timeout_s
-        for _, publisher in self._publishers.values():
-            left_s = max(0.0, deadline - time.monotonic())
-            publisher.wait_for_all_acked(Duration(seconds=left_s))
+    @property
+    def publishers(self) -> list[Publisher]:
+        """Those of the run at hand."""
+        return [publisher for _, publisher in self._publishers.values()]
 
     def _name_of(self, i):
         return RELATIVE.format(satellite=self._setup.system.bead_name[i])

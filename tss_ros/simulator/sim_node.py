@@ -1,5 +1,6 @@
 """The simulator node: publishes a formation's motion step by step, and lets others control it."""
 
+import contextlib
 import math
 import threading
 import time
@@ -7,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from tss_interfaces.msg import BeadStates, TetherStates
@@ -19,14 +19,20 @@ from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.ros import diagnostics, frames, messages, parameters, systems
 from tss_ros.ros.files import inside
-from tss_ros.ros.node import TssNode, run
-from tss_ros.ros.topics import CLOCK_RATE_HZ, create_publisher, publishers, read_topics
+from tss_ros.ros.node import Finished, TssNode, run
+from tss_ros.ros.topics import (
+    CLOCK_RATE_HZ,
+    create_publisher,
+    publishers,
+    read_topics,
+    wait_until_acked,
+)
 from tss_ros.ros.words import check_words
 from tss_ros.scenarios import scenario
 from tss_ros.simulator import odometry
 from tss_ros.simulator.backpressure import FlowControl
 from tss_ros.simulator.command_topics import CommandTopics
-from tss_ros.simulator.control import Control
+from tss_ros.simulator.control import STOP_S, Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
@@ -42,9 +48,7 @@ CLOCK_PERIOD_S = 0.1
 TF_RATE_HZ = 50.0
 #: How often [s] to look whether the last recorder has left, and to report.
 RECORDER_CHECK_S, STATUS_PERIOD_S, DIAGNOSTICS_PERIOD_S = 0.25, 0.5, 1.0
-#: How long [s] a recorder that is there may say nothing before that is said.
-RECORDER_SILENT_S = 3.0
-#: How long [s] a finished simulator waits for those who listen on each topic.
+#: How long [s] a simulator that ends waits for those who listen.
 LISTENER_FINISH_S = 0.5
 PROGRESS_PERIOD_S = 10.0
 
@@ -83,7 +87,11 @@ class SimNode(TssNode):
             self, topics, self._publisher[APPLIED], simulation, lambda: self._options
         )
         self._flow = FlowControl(
-            max(1, depth // 4), self.get_logger(), wake.set, self._options["recorder_patience_s"]
+            max(1, depth // 4),
+            self.get_logger(),
+            wake.set,
+            self._options["recorder_patience_s"],
+            lambda: self._recorder_status.get_publisher_count(),
         )
         self._pace = Pace(self._options["time_scale"])
         self._control = Control(
@@ -122,7 +130,6 @@ class SimNode(TssNode):
         self._progress = time.monotonic()
         self._events = []
         self._shown, self._listeners = None, {}
-        self._unheard_since = None
         self._commands.begin(setup.system)
         self._describe(0, 0)
 
@@ -134,7 +141,11 @@ class SimNode(TssNode):
     def stop(self) -> None:
         """End the simulation."""
         self._control.stop()
-        self._thread.join(timeout=1.0)
+        deadline = time.monotonic() + STOP_S + 1.0
+        with contextlib.suppress(Finished):
+            # Recorders must be heard until they have the last step.
+            while self._thread.is_alive() and time.monotonic() < deadline:
+                self.executor.spin_once(timeout_sec=CLOCK_PERIOD_S)
         # destroy_node leaves action servers, and they the node's shared memory.
         self._steps_action.close()
 
@@ -177,15 +188,13 @@ class SimNode(TssNode):
         try:
             self._control.run_until_end()
             self._steps.flush()
-            self._for_listeners.wait_for_recorder(LISTENER_FINISH_S)
-            for name in ("tether_states", "bead_states"):
-                self._publisher[name].wait_for_all_acked(Duration(seconds=LISTENER_FINISH_S))
+            last = self._for_listeners.recorded
+            if not self._control.stopping:
+                last = last + [self._publisher[name] for name in ("tether_states", "bead_states")]
+            wait_until_acked(last, LISTENER_FINISH_S)
+            self.finish()
         except Exception as error:
-            if self.context.ok():
-                self.finish(error)
-        else:
-            if self.context.ok():
-                self.finish()
+            self.finish(error)
 
     def _may_begin(self):
         if not self._options["wait_for_recorder"]:
@@ -327,19 +336,7 @@ class SimNode(TssNode):
     # --- in the executor's thread
 
     def _check_recorders(self):
-        if not self._recorder_status.get_publisher_count():
-            self._flow.on_recorders_gone()
-            self._unheard_since = None
-        elif self._flow.recorders:
-            self._unheard_since = None
-        else:
-            self._unheard_since = self._unheard_since or time.monotonic()
-            if time.monotonic() - self._unheard_since > RECORDER_SILENT_S:
-                self.get_logger().warning(
-                    f"somebody publishes {self._recorder_status.topic_name}, but nothing comes; "
-                    "not waiting for that recorder",
-                    throttle_duration_sec=10.0,
-                )
+        self._flow.check(self._recorder_status.topic_name)
         self._check_alone()
 
     def _check_alone(self):

@@ -300,11 +300,7 @@ class StabilityNode(TssNode):
         return piece
 
     def _publish(self, result):
-        try:
-            self._results.publish(result)
-        except Exception:
-            if self.context.ok():  # else a signal ended the context a moment ago
-                raise
+        self._results.publish(result)
 
     def _publish_feedback(self, goal, progress):
         for message in progress.take():
