@@ -16,11 +16,21 @@ from tss_interfaces.srv import CutTether, FailActuator, RestoreSnapshot, SaveSna
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
 from tss_ros.bags.wrenches import read_commands
-from tss_ros.core import Commands, Failure, Propagator, TssError, ring, simulate
-from tss_ros.core.model.failures import DEAD, HEALTHY, STUCK, Happened, with_failures
+from tss_ros.core import (
+    Commands,
+    Failure,
+    Propagator,
+    TssError,
+    reel_plan,
+    reel_profile,
+    ring,
+    simulate,
+)
+from tss_ros.core.model.failures import DEAD, HEALTHY, STUCK, Happened, reel_at, with_failures
 from tss_ros.scenarios import scenario
 from tss_ros.simulator import straight
-from tss_ros.simulator.commands import Command
+from tss_ros.simulator.commands import Command, CommandTable
+from tss_ros.simulator.reel_commands import RATE, Limits, ReelCommand, ReelStart
 from tss_ros.simulator.simulation import Simulation
 from tss_ros.simulator.straight import setup_of
 from tss_ros.simulator.trajectory import edge_s
@@ -59,7 +69,7 @@ def run(setup, count, commands=()):
     live, states, commands = Simulation(setup, 0.0, threading.Event().set), [], dict(commands)
     for k in range(count):
         for command in commands.get(k, ()):
-            if isinstance(command, Command):
+            if isinstance(command, (Command, ReelCommand)):
                 assert live.commands.post(command)
             else:
                 live.fail(command)
@@ -156,6 +166,98 @@ def test_states_are_those_of_an_integration_that_knew_all_before():
     np.testing.assert_array_equal(states, made_again(changes, 150))
 
 
+WIND = ReelCommand(10 * S, 0, RATE, ((0.0, 0.0, -0.5),))
+
+
+def lengths(commands, count=60):
+    """What is out of the first tether, from state to state, and what is told."""
+    states, _, changes = run(PLAIN, count, {0: [WIND], **commands})
+    np.testing.assert_array_equal(states, made_again(changes, count))
+    rows = [(c.time, c.commands.reel[0]) for c in changes]
+    at = [[reel_at(row, k * 2 * S, S) for t, row in rows if t <= k * 2 * S] for k in range(count)]
+    return [round(float(found[-1][0]), 6) if found else 10_000.0 for found in at], changes
+
+
+@pytest.mark.parametrize("commands, expected", [
+    ({9: [Happened(20 * S, 3, DEAD)]}, {10: 9995.0, 59: 9995.0}),
+    ({9: [Happened(20 * S, 3, STUCK)], 12: [WIND._replace(points=((0.0, 0.0, 2.0),))]},
+     {12: 9993.0, 59: 9946.0}),
+    ({9: [Happened(20 * S, 3, DEAD)], 15: [Happened(30 * S, 3, STUCK)]}, {59: 9995.0}),
+    ({9: [Happened(20 * S, 3, STUCK)], 25: [Happened(0, 3, DEAD)]}, {24: 9981.0, 59: 9981.0}),
+    # A repaired one stands until it is commanded again, whenever that was asked for.
+    ({2: [Happened(40 * S, 3, HEALTHY), Happened(20 * S, 3, DEAD)]}, {20: 9995.0, 59: 9995.0}),
+    ({9: [Happened(20 * S, 3, STUCK)], 21: [Happened(40 * S, 3, HEALTHY)],
+      30: [WIND._replace(points=((0.0, 0.0, 1.0),))]}, {21: 9985.0, 29: 9985.0, 59: 10045.0}),
+    ({9: [Happened(20 * S, 3, HEALTHY)]}, {59: 9946.0}),
+])  # fmt: skip
+def test_a_dead_reel_stands_and_a_stuck_one_goes_on(commands, expected):
+    found, changes = lengths(commands)
+    assert {k: found[k] for k in expected} == expected
+    assert found[:5] == [10_000.0] * 5
+    for change in changes:
+        assert all(name == "tether_1" for name, _ in change.failed)
+
+
+def test_a_stuck_reel_winds_in_no_more_than_it_can():
+    start = ReelStart((40.0, 40.0, 40.0))
+    table = CommandTable(SYSTEM, start)
+    table.post(ReelCommand(0, 0, RATE, ((0.0, 0.0, -0.5),), Limits(shortest_m=20.0)))
+    table.collect(0)
+    table.fail(Happened(10 * S, 3, STUCK), 0)
+    edges = table.edges(0)
+    assert [t / S for t, _ in edges] == [0.0, 10.0, 40.0, 79.6]
+    assert [float(reel_at(c.reel[0], t, S)[0]) for t, c in edges] == [40.0, 35.0, 20.0, 0.2]
+    assert edges[-1][1].reel[0].tolist() == [0.0, 0.2, 0.0, 0.0, 0.0]
+    kept = table.arrays
+    again = CommandTable(SYSTEM, start)
+    again.arrays = kept
+    assert again.edges(0) == edges
+
+
+def test_failures_of_reels_survive_a_snapshot(tmp_path):
+    live = Simulation(PLAIN, 0.0, threading.Event().set)
+    live.commands.post(WIND)
+    live.fail(Happened(15 * S, 3, STUCK))
+    live.fail(Happened(22 * S, 4, DEAD))
+    live.fail(Happened(50 * S, 3, HEALTHY))
+    for _ in range(10):
+        live.take()
+    live.save(str(tmp_path / "a.npz"))
+    ahead = [live.take() for _ in range(30)]
+    live.restore(str(tmp_path / "a.npz"))
+    live.take()
+    again = [live.take() for _ in range(30)]
+    live.close()
+    for a, b in zip(ahead, again):
+        np.testing.assert_array_equal(a.position_m, b.position_m)
+    assert again[-1].alone.rest_length_m[0].tolist() == [9_980.0, 10_000.0, 10_000.0]
+
+
+def test_declared_failures_of_reels_in_the_core_and_straight(tmp_path):
+    """The same motion of the simulator, the straight run and an integration that knew all."""
+    reels = {"all": {"time_s": [0.0, 100.0], "length_m": [10_000.0, 9_900.0]}}
+    failures = [
+        {"at_s": 31.0, "dead": "tether_2"},
+        {"when": {"tether": "tether_3", "tension_n": 2.0}, "stuck": "tether_1"},
+    ]
+    given = setup_of(scenario_file(tmp_path, failures, reels=reels), {}, RUN)
+    states, _, changes = run(given, 80)
+    assert dict(changes[-1].failed) == {"tether_1": STUCK, "tether_2": DEAD}
+    np.testing.assert_array_equal(states, made_again(changes, 80, given.start))
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in GIVEN.items()]
+    words += ["--turns", str(79.5 * PERIOD_S / given.turn_s), "--output", str(tmp_path / "bag")]
+    assert straight.main([given.options["scenario"], *words]) == 0
+    recorded = read_bag(tmp_path / "bag")
+    np.testing.assert_array_equal(recorded.position_m, states[: len(recorded.position_m), 0])
+    assert recorded.rests_m[-1].tolist() == [9_842.0, 9_969.0, 9_900.0]
+    assert read_commands(tmp_path / "bag", SYSTEM)[-1].failed == changes[-1].failed
+    plan = reel_plan(SYSTEM, dict.fromkeys(SYSTEM.tether_name, reel_profile([0, 100], [1e4, 9900])))
+    failing = [Failure("dead", "tether_2", at_s=31.0), Failure("stuck", "tether_1", at_s=60.0)]
+    turns = 140.0 / given.turn_s
+    found = simulate(SYSTEM, -2.9, turns=turns, period_s=20.0, plan=plan, failures=failing)
+    np.testing.assert_allclose(found.rests_m[-1], [9_860.0, 9_969.0, 9_900.0], rtol=1e-12)
+
+
 # -- declared in a scenario ------------------------------------------------------------------------
 
 
@@ -167,7 +269,7 @@ def test_states_are_those_of_an_integration_that_knew_all_before():
     ({"at_s": 1e30, "cut": "tether_1"}, r"failures\[0\]: at_s is 1e\+30; allowed: 0 to 2147483647"),
     ({"at_s": "soon", "cut": "tether_1"}, r"failures\[0\].at_s must be a number, got 'soon'"),
     ({"at_s": 1.0, "cut": "tether_9"}, r"failures\[0\]: tether is 'tether_9'; allowed: tether_1"),
-    ({"at_s": 1.0, "dead": "tether_1"}, r"failures\[0\]: satellite is 'tether_1'; allowed: sat"),
+    ({"at_s": 1.0, "dead": "tether_9"}, "actuator is 'tether_9'; allowed: satellite_1, .*tether_3"),
     ({"at_s": 1.0, "cutt": "tether_1"}, r"has 'cutt'; allowed are .* did you mean"),
     ({"when": {"tether": "tether_1"}, "dead": "satellite_1"}, "either tension_n or slack"),
     ({"when": {"tether": "t", "slack": True}, "cut": "tether_1"}, "tether is 't'; allowed: teth"),
@@ -312,8 +414,8 @@ def told(message):
 
 
 def test_an_actuator_fails_by_a_request(pilot):
-    code, reason = pilot.sim.refused(FailActuator, actuator="tether_1", mode="dead")
-    assert code == Result.RESULT_NOT_FOUND and "satellite is 'tether_1'; allowed: sat" in reason
+    code, reason = pilot.sim.refused(FailActuator, actuator="tether_9", mode="dead")
+    assert code == Result.RESULT_NOT_FOUND and "actuator is 'tether_9'; allowed: sat" in reason
     code, reason = pilot.sim.refused(FailActuator, actuator="satellite_1", mode="melted")
     assert "mode is 'melted'; allowed: healthy, dead, stuck" in reason
     code, reason = pilot.sim.refused(

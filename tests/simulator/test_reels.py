@@ -15,7 +15,7 @@ from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tss_interfaces.msg import AppliedWrenches, TetherStates
-from tss_interfaces.srv import Disturb, RestoreSnapshot, SaveSnapshot
+from tss_interfaces.srv import Disturb, FailActuator, RestoreSnapshot, SaveSnapshot
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
@@ -142,6 +142,28 @@ def test_a_rate_times_out_and_a_reel_stops_at_its_limits(winch):
     assert winch.rests(3, tether=2)[-1] == 9_985.0
     for name, value in (("reel_shortest_m", 0.0), ("reel_longest_m", -1.0)):
         assert not winch.sim.set(**{name: value}).successful
+
+
+def test_a_reel_fails_and_is_repaired(winch):
+    def fail(mode, name="tether_1"):
+        winch.sim.do(FailActuator, actuator=name, mode=mode)
+
+    winch.reel("tether_1", velocity=[-0.5])
+    winch.rests(2)
+    fail("dead")
+    assert winch.rests(3) == [9_998.0] * 3
+    winch.reel("tether_1", velocity=[1.0])
+    assert winch.rests(2) == [9_998.0] * 2 and list(winch.applied[-1].dead_actuator) == ["tether_1"]
+    fail("healthy")
+    assert winch.rests(2) == [9_998.0] * 2
+    winch.reel("tether_1", velocity=[1.0])
+    winch.rests(1)
+    fail("stuck")
+    winch.reel("tether_1", velocity=[-1.0])
+    assert winch.rests(2) == [10_002.0, 10_004.0]
+    assert list(winch.applied[-1].stuck_actuator) == ["tether_1"]
+    told = [event.text.split(" at ")[0] for event in winch.sim.events if event.kind == "fail"]
+    assert told == ["tether_1: dead", "tether_1: healthy again", "tether_1: stuck"]
 
 
 NAN, BIG = math.nan, 1e30

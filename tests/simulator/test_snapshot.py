@@ -15,7 +15,7 @@ COMMANDS = {
     "when_and_where": np.array([[10, 1, 2], [20, 0, -1]]),
     "force_n": np.ones((2, 3)),
     "failures": np.array([[10, 1, 2, 1]]),
-    "stuck_force_n": np.ones((1, 3, 3)),
+    "held": np.ones((1, 9)),
     "due": np.array([True, False, True]),
     "reel_heads": np.array([[30, 2, 0, 1]]),
     "reel_limits": np.array([[1.0, 1.0, 0.0]]),

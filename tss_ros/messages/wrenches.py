@@ -6,7 +6,7 @@ import numpy as np
 
 from tss_ros.core import Commands, System
 from tss_ros.core.model.commands import FRAMES
-from tss_ros.core.model.failures import DEAD, STUCK, Change, thruster
+from tss_ros.core.model.failures import DEAD, STUCK, Change, actuator
 from tss_ros.core.model.reels import reel_names
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, header
@@ -72,7 +72,7 @@ def change_of(system: System, message: Any) -> Change:
     modes = {DEAD: "dead_actuator", STUCK: "stuck_actuator"}
     # Bags made before actuators could fail, or before there were reels, have none of them.
     failed = [(name, mode) for mode, f in modes.items() for name in getattr(message, f, ())]
-    failed.sort(key=lambda pair: thruster(system, pair[0]))
+    failed.sort(key=lambda pair: actuator(system, pair[0]))
     rows = np.reshape(getattr(message, "reel", ()), (-1, 5))
     reel = dict(zip(getattr(message, "reel_tether", ()), rows, strict=True))
     commands = Commands.of(system, forces, message.cut_tether, reel)

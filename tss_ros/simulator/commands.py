@@ -12,7 +12,7 @@ from tss_ros.core import Commands, System, TssError
 from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.failures import Change, Happened
 from tss_ros.simulator.failures import FailureTable
-from tss_ros.simulator.reel_commands import ReelCommand, ReelEdge, ReelStart
+from tss_ros.simulator.reel_commands import STAND, ReelCommand, ReelEdge, ReelStart
 from tss_ros.simulator.reel_table import ReelTable
 
 #: Most commands that are kept besides those that hold.
@@ -95,13 +95,13 @@ class CommandTable:
         now_ns : int
             Simulation time [ns] of the newest state: what should have held before holds from here.
         """
+        if not (self._waiting or self.reels.waits):
+            return False
+        self.settle(now_ns)
         if self.reels.collect(now_ns):
             self._made = None
-        elif not self._waiting:
-            return False
         with self._lock:
             waiting, self._waiting = self._waiting, {}
-        self.settle(now_ns)
         for command in waiting.values():
             command = command._replace(time_ns=max(command.time_ns, now_ns))
             self._commands[command.key] = command
@@ -114,16 +114,26 @@ class CommandTable:
     def fail(self, failure: Happened, now_ns: int) -> None:
         """Let an actuator fail, or repair it, at a simulation time [ns]; a past one is now.
 
+        A reel that is repaired stands until it is commanded again.
+
         Raises
         ------
         TssError
             If too many failures are kept already.
         """
+        self.settle(now_ns)
         self._failures.add(failure._replace(time=max(failure.time, now_ns)))
+        for repair in self._failures.repairs_of_reels:
+            length_m = self._failures.length_m(repair, self._edges(), self._without_commands)
+            if length_m is not None:
+                place, point = repair.place - self._system.n, ((0.0, length_m, 0.0),)
+                self.reels.post(ReelCommand(repair.time, place, STAND, point))
+                self.reels.collect(now_ns)
+                self._made = None
         self.settle(now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """Note what stuck thrusters give by now, before anything is changed."""
+        """Note what stuck actuators do by now, before anything is changed."""
         self._failures.settle(now_ns, self._edges(), self._without_commands)
 
     def change(self, time_ns: int) -> Change:

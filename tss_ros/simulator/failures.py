@@ -5,20 +5,30 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from tss_ros.core import Commands, System, TssError
-from tss_ros.core.model.failures import HEALTHY, MODES, STUCK, Change, Happened, with_failures
+from tss_ros.core.model.failures import (
+    HEALTHY,
+    MODES,
+    Change,
+    Happened,
+    actuator_name,
+    held,
+    reel_at,
+    with_failures,
+)
+from tss_ros.core.model.reels import reel_names
 
 #: As in SimulationEvent.
 KIND_CUT, KIND_FAIL = "cut", "fail"
 #: Most failures that are kept.
 MOST_KEPT = 1000
+#: Nanoseconds in a second.
+NS = 1e9
 #: What is said of an actuator in an event.
 _WORDS = {mode: mode for mode in MODES} | {HEALTHY: "healthy again"}
 
 
 class FailureTable:
-    """Dead, stuck and repaired thrusters. For one thread.
-
-    Only thrusters can fail so far, each by the index of its satellite's bead.
+    """Dead, stuck and repaired actuators. For one thread.
 
     Parameters
     ----------
@@ -45,17 +55,39 @@ class FailureTable:
 
     def act_on(self, edges: Iterable[tuple[int, Commands]], before: Commands) -> Iterator[Change]:
         """What acts at and from the times [ns] of commands and failures, and before all of them."""
-        return with_failures(self._system, edges, self._kept, before)
+        return with_failures(self._system, edges, self._kept, before, NS)
+
+    @property
+    def repairs_of_reels(self) -> list[Happened]:
+        """Those that are kept, in the order of time."""
+        kept = [f for f in self._kept if f.kind == HEALTHY and f.place >= self._system.n]
+        return sorted(kept, key=lambda repair: repair.time)
+
+    def length_m(
+        self, repair: Happened, edges: Iterable[tuple[int, Commands]], before: Commands
+    ) -> float | None:
+        """What is out [m] of a reel that is repaired; None if it has not failed by then.
+
+        Other parameters as of `act_on`.
+        """
+        newest, others = None, [f for f in self._kept if f is not repair]
+        for change in with_failures(self._system, edges, others, before, NS):
+            if change.time <= repair.time:
+                newest = change
+        if newest is None or actuator_name(self._system, repair.place) not in dict(newest.failed):
+            return None
+        row = newest.commands.reel[repair.place - self._system.n]
+        return float(reel_at(row, repair.time, NS)[0])
 
     def settle(self, now_ns: int, edges: Iterable[tuple[int, Commands]], before: Commands) -> None:
-        """Note the forces of the thrusters that are stuck by now; forget what is past.
+        """Note what the actuators do that have failed by now; forget what is past.
 
         Parameters
         ----------
         now_ns : int
             Simulation time [ns] of the newest state.
         edges : iterable of (int, Commands)
-            What is commanded, from the earliest force that may be stuck.
+            What is commanded, from the earliest that may be stuck.
         before : Commands
             What acts before all of that.
         """
@@ -67,9 +99,9 @@ class FailureTable:
             if failure.time > now_ns:
                 later.append(failure)
                 continue
-            if failure.kind == STUCK and failure.force_n is None:
-                force_n = changes[failure.time].force_n[:, failure.place]
-                failure = failure._replace(force_n=force_n)
+            if failure.kind != HEALTHY and failure.held is None:
+                commands = changes[failure.time]
+                failure = held(self._system, commands, failure, NS)
             newest[failure.place] = failure
         self._kept = [f for f in newest.values() if f.kind != HEALTHY] + later
 
@@ -81,25 +113,27 @@ class FailureTable:
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it keeps, for a snapshot.
 
-        Times, places, modes and whether the force is known, (k, 4); forces (k, 3, 3).
+        Times, places, modes and whether it is known what they go on with, (k, 4); that, (k, 9).
         """
-        known = [f.force_n is not None for f in self._kept]
-        rows = [(f.time, f.place, MODES.index(f.kind), k) for f, k in zip(self._kept, known)]
-        force_n = [f.force_n if k else np.zeros((3, 3)) for f, k in zip(self._kept, known)]
-        return {
-            "failures": np.array(rows, dtype=np.int64).reshape(-1, 4),
-            "stuck_force_n": np.array(force_n, dtype=float).reshape(-1, 3, 3),
-        }
+        rows, values = [], np.zeros((len(self._kept), 9))
+        for i, f in enumerate(self._kept):
+            known = f.held is not None
+            rows.append((f.time, f.place, MODES.index(f.kind), known))
+            if known:
+                values[i, : f.held.size] = f.held.ravel()
+        return {"failures": np.array(rows, dtype=np.int64).reshape(-1, 4), "held": values}
 
     @arrays.setter
     def arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        satellites = np.flatnonzero(self._system.is_satellite)
+        n, count = self._system.n, len(reel_names(self._system))
+        allowed = {*np.flatnonzero(self._system.is_satellite).tolist(), *range(n, n + count)}
         self._kept = []
-        for row, force_n in zip(arrays["failures"].tolist(), arrays["stuck_force_n"]):
+        for row, values in zip(arrays["failures"].tolist(), arrays["held"]):
             time_ns, place, mode, known = row
-            if place not in satellites or not 0 <= mode < len(MODES) or known not in (0, 1):
-                raise TssError(f"there is no failure {mode} of bead {place}")
-            self._kept.append(Happened(time_ns, place, MODES[mode], force_n if known else None))
+            if place not in allowed or not 0 <= mode < len(MODES) or known not in (0, 1):
+                raise TssError(f"there is no failure {mode} of actuator {place}")
+            values = values.reshape(3, 3) if place < n else values[:2]
+            self._kept.append(Happened(time_ns, place, MODES[mode], values if known else None))
 
 
 def news(

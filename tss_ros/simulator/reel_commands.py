@@ -9,14 +9,12 @@ import numpy as np
 
 from tss_ros.core import System, TssError
 from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
-from tss_ros.core.model.reels import NEVER_M, SHORTEST_M
+from tss_ros.core.model.reels import LEAST_M, NEVER_M
 from tss_ros.scenarios.scenario import Scenario
 
 #: What a command may be: a rate, a length to be reached, or a profile, with straight lines between
-#: its points or with cubics.
-RATE, TARGET, LINES, CUBICS = range(4)
-#: Shortest length [m] that a reel may be told to leave out.
-LEAST_M = 2.0 * SHORTEST_M
+#: its points or with cubics; or the length at which a reel stands that is repaired.
+RATE, TARGET, LINES, CUBICS, STAND = range(5)
 #: Time [s] from which on nothing is planned, beyond that of all simulations.
 NEVER_S = 1e10
 #: Most points of a profile.
@@ -55,7 +53,7 @@ class ReelCommand(NamedTuple):
     place : int
         Index into `reels.reels`.
     kind : int
-        RATE, TARGET, LINES or CUBICS.
+        RATE, TARGET, LINES, CUBICS or STAND.
     points : tuple of (float, float, float)
         Times from then on [s], lengths [m], rates [m/s]. A rate has its duration, 0 for any, and no
         length. A target has no time, and a speed.
@@ -69,9 +67,9 @@ class ReelCommand(NamedTuple):
     limits: Limits = Limits()
 
     @property
-    def key(self) -> tuple[int, int]:
-        """When and where."""
-        return self.time_ns, self.place
+    def key(self) -> tuple[int, int, bool]:
+        """When and where, and whether it goes before others of that time."""
+        return self.time_ns, self.place, self.kind == STAND
 
     def check(self) -> None:
         """Raise TssError, with what is allowed, if it cannot be carried out."""
@@ -171,6 +169,9 @@ def _pieces(command, length_m, rate_m_s):
     first_s, first_m, speed = command.points[0]
     if command.kind in (RATE, TARGET):
         speed = math.copysign(min(abs(speed), command.limits.rate_m_s or math.inf), speed)
+    if command.kind == STAND:
+        yield math.inf, (first_m, 0.0, 0.0, 0.0)
+        return
     if command.kind == RATE:
         yield first_s or math.inf, (length_m, speed, 0.0, 0.0)
         if first_s:

@@ -10,8 +10,8 @@ import numpy as np
 from tss_ros.core import System, TssError
 from tss_ros.core.model.reels import whole_lengths
 from tss_ros.simulator.reel_commands import (
-    CUBICS,
     RATE,
+    STAND,
     Limits,
     ReelCommand,
     ReelEdge,
@@ -58,6 +58,11 @@ class ReelTable:
             self._waiting.pop(command.key, None)
             self._waiting[command.key] = command
         return True
+
+    @property
+    def waits(self) -> bool:
+        """Whether there is something to collect."""
+        return bool(self._waiting)
 
     def collect(self, now_ns: int) -> bool:
         """Take what was posted, whose time is now [ns] at the earliest; whether there was any."""
@@ -127,7 +132,7 @@ class ReelTable:
             raise TssError(f"it has {len(since)} reels and {len(points)} points of commands")
         commands, taken = [], 0
         for (time_ns, place, kind, size), limit in zip(heads, limits):
-            if not (0 <= place < count and RATE <= kind <= CUBICS and size >= 1):
+            if not (0 <= place < count and RATE <= kind <= STAND and size >= 1):
                 raise TssError(f"there is no command of kind {kind} to reel {place}")
             part = tuple(map(tuple, points[taken : taken + size]))
             commands.append(ReelCommand(time_ns, place, kind, part, Limits(*limit)))
@@ -140,7 +145,7 @@ class ReelTable:
     def _of(self, place: int) -> Sequence[ReelCommand]:
         """The commands to a reel, in order."""
         mine = [c for c in self._commands.values() if c.place == place]
-        return sorted(mine, key=lambda c: c.time_ns)
+        return sorted(mine, key=lambda c: (c.time_ns, c.kind != STAND))
 
     def _plan(self, place: int) -> Iterator[ReelEdge]:
         """What a reel comes to do."""

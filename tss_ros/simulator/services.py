@@ -27,7 +27,7 @@ from tss_interfaces.srv import (
 )
 
 from tss_ros.core import State, TssError, disturbed
-from tss_ros.core.model.failures import MODES, Happened, thruster
+from tss_ros.core.model.failures import MODES, Happened, actuator
 from tss_ros.ros import messages
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
@@ -273,9 +273,9 @@ class SimulationServices:
     def _do_fail(self, answer, request):
         simulation = self._control.simulation
         try:
-            place = thruster(simulation.setup.system, request.actuator)
+            place = actuator(simulation.setup.system, request.actuator)
         except TssError as error:
-            raise Refused(Code.NOT_FOUND, f"actuator: {error}") from None
+            raise Refused(Code.NOT_FOUND, str(error)) from None
         if request.mode not in MODES:
             raise TssError(f"mode is {request.mode!r:.80}; allowed: {', '.join(MODES)}")
         time_ns = read_time(request.stamp, simulation.newest.time_ns)

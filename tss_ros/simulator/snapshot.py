@@ -24,7 +24,7 @@ _COMMANDS = {
     "when_and_where": ("commands", (3,), np.int64),
     "force_n": ("commands", (3,), float),
     "failures": ("failures", (4,), np.int64),
-    "stuck_force_n": ("failures", (3, 3), float),
+    "held": ("failures", (9,), float),
     "due": ("declared", (), bool),
     "reel_heads": ("reel commands", (4,), np.int64),
     "reel_limits": ("reel commands", (3,), float),

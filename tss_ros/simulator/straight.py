@@ -25,7 +25,7 @@ from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
-from tss_ros.simulator.failures import news
+from tss_ros.simulator.failures import NS, news
 from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
 from tss_ros.simulator.trajectory import compute_states, edge_s
@@ -160,7 +160,7 @@ class _Story:
         own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
         self._given = own if commands is None else [own[0], *commands]
         self._watch = FailureWatch(setup.system, setup.failures if commands is None else ())
-        self._happened = [h._replace(time=round(h.time * 1e9)) for h in self._watch.timed()]
+        self._happened = [h._replace(time=round(h.time * NS)) for h in self._watch.timed()]
         self._before, self._numbers, self._told = None, dict.fromkeys((APPLIED, EVENTS), 0), 0
 
     @property
@@ -168,7 +168,8 @@ class _Story:
         """What is news of all that acts; of one time the last counts."""
         system, changes = self._setup.system, [Change(*change) for change in self._given]
         if self._happened:
-            changes = with_failures(system, (c[:2] for c in changes), self._happened)
+            edges = (change[:2] for change in changes)
+            changes = with_failures(system, edges, self._happened, per_s=NS)
         found = []
         for change in changes:
             if found and found[-1].time == change.time:

@@ -1,7 +1,11 @@
-"""Failures: tethers that are cut, thrusters that are dead or stuck; at a time or on an event."""
+"""Failures: tethers that are cut, actuators that are dead or stuck; at a time or on an event.
+
+An actuator is the thruster of a satellite, named as that is, or a reel, named as its whole tether.
+"""
 
 from __future__ import annotations
 
+import heapq
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,9 +15,12 @@ import numpy as np
 
 from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.commands import Commands
+from tss_ros.core.model.cubics import cubic_at
+from tss_ros.core.model.reels import LEAST_M, reel_names
 from tss_ros.core.model.system import System, finite
 
-#: What becomes of an actuator: it obeys, gives no force, or goes on with the force that it gives.
+#: What becomes of an actuator. It obeys; it does nothing: no force, a reel under its brake; or it
+#: goes on with what it does: the same force, or the same rate of a reel, down to LEAST_M out.
 HEALTHY, DEAD, STUCK = MODES = ("healthy", "dead", "stuck")
 #: What becomes of a tether segment.
 CUT = "cut"
@@ -32,7 +39,7 @@ class Failure:
     kind : str
         One of "cut", "dead" and "stuck".
     target : str
-        Name of the tether segment that is cut, or of the satellite whose thruster fails.
+        Name of the tether segment that is cut, or of the actuator that fails.
     at_s : float, optional
         [s] from the beginning of the motion. If it is not given, an event of `tether` is waited
         for.
@@ -65,7 +72,7 @@ class Failure:
             finite("tension_n", self.tension_n)
 
     def place(self, system: System) -> int:
-        """Index of the tether segment or of the bead.
+        """Index of the tether segment or of the actuator.
 
         Raises
         ------
@@ -74,7 +81,7 @@ class Failure:
         """
         if self.kind == CUT:
             return index_of("tether", self.target, system.tether_name)
-        return thruster(system, self.target)
+        return actuator(system, self.target)
 
     def check(self, system: System) -> None:
         """Raise TssError if it does not fit a system."""
@@ -100,39 +107,48 @@ class Happened(NamedTuple):
     time : float or int
         When, in the unit of the edges that it is put between.
     place : int
-        Index of the tether segment that is cut, or of the satellite's bead.
+        Index of the tether segment that is cut, or of the actuator, see `actuator`.
     kind : str
         One of `KINDS`, or "healthy".
-    force_n : ndarray, shape (3, 3), optional
-        [N] along the axes of each of `commands.FRAMES`, of a stuck thruster; as it is at that
-        time if not given.
+    held : ndarray, optional
+        What a failed actuator goes on with: of a stuck thruster [N] along the axes of each of
+        `commands.FRAMES`, (3, 3), of a reel length [m] and rate [m/s], (2,). As it is at that time
+        if not given.
     """
 
     time: float
     place: int
     kind: str
-    force_n: np.ndarray | None = None
+    held: np.ndarray | None = None
 
 
 class Change(NamedTuple):
-    """What acts from a time on, and which satellites' thrusters are dead or stuck then."""
+    """What acts from a time on, and which actuators are dead or stuck then."""
 
     time: float
     commands: Commands
     failed: tuple[tuple[str, str], ...] = ()
 
 
-def thruster(system: System, name: str) -> int:
-    """Index of the bead of the satellite whose thruster has this name.
+def actuator(system: System, name: str) -> int:
+    """Index of an actuator: that of its satellite's bead, or n and more for reels.
+
+    A name that a satellite and a tether share is the satellite's.
 
     Raises
     ------
     TssError
-        If no satellite has it.
+        If no satellite and no whole tether has it.
     """
-    satellites = [system.bead_name[i] for i in np.flatnonzero(system.is_satellite)]
-    index_of("satellite", name, satellites)
-    return system.bead_name.index(name)
+    satellites = np.flatnonzero(system.is_satellite).tolist()
+    names = [*(system.bead_name[i] for i in satellites), *reel_names(system)]
+    place = index_of("actuator", name, names)
+    return satellites[place] if place < len(satellites) else system.n + place - len(satellites)
+
+
+def actuator_name(system: System, place: int) -> str:
+    """Name of the actuator of an index."""
+    return (*system.bead_name, *reel_names(system))[place]
 
 
 def with_failures(
@@ -140,11 +156,12 @@ def with_failures(
     edges: Iterable[tuple[float, Commands]],
     happened: Sequence[Happened],
     before: Commands | None = None,
+    per_s: float = 1.0,
 ) -> Iterator[Change]:
     """What acts once failures are taken into account.
 
     Of one time, commands come first: a thruster that is stuck goes on with the force that is
-    commanded for that time.
+    commanded for that time. A reel that is repaired does again what the edges say of it.
 
     Parameters
     ----------
@@ -155,42 +172,100 @@ def with_failures(
         Of one time and actuator the last one counts.
     before : Commands, optional
         What acts before the first of these times; nothing if not given.
+    per_s : float
+        Unit of the times, which are whole numbers where it is not 1: so many of it are a second.
 
     Yields
     ------
     Change
     """
-    first = [(time, 0, commands) for time, commands in edges]
-    merged = sorted(first + [(h.time, 1, h) for h in happened], key=lambda event: event[:2])
+    numbers = itertools.count()
+    events = [(time, 0, next(numbers), commands) for time, commands in edges]
+    events += [(h.time, 1, next(numbers), h) for h in happened]
+    heapq.heapify(events)
     commanded, cut, failed = before or Commands.none(system), set(), {}
-    for time, group in itertools.groupby(merged, key=lambda event: event[0]):
-        for _, is_failure, event in group:
+    while events:
+        time = events[0][0]
+        while events and events[0][0] == time:
+            _, is_failure, _, event = heapq.heappop(events)
             if not is_failure:
                 commanded = event
             elif event.kind == CUT:
                 cut.add(event.place)
-            else:
-                given_n = _acting(commanded, cut, failed).force_n[:, event.place]
-                if event.kind == STUCK and event.force_n is None:
-                    event = event._replace(force_n=given_n)
+            elif is_failure == 1 or failed[event.place].kind == STUCK:
+                acting = _acting(system, commanded, cut, failed, per_s)
+                event = held(system, acting, event, per_s)
                 failed[event.place] = event
-        named = tuple((system.bead_name[i], failed[i].kind) for i in sorted(failed))
+                if stop := _stop(system, event, per_s):
+                    heapq.heappush(events, (stop.time, 2, next(numbers), stop))
+        named = [(actuator_name(system, i), failed[i].kind) for i in sorted(failed)]
         yield Change(
             time,
-            _acting(commanded, cut, failed),
+            _acting(system, commanded, cut, failed, per_s),
             tuple(pair for pair in named if pair[1] != HEALTHY),
         )
 
 
-def _acting(commanded, cut, failed):
+def reel_at(row: np.ndarray, time: float, per_s: float = 1.0) -> np.ndarray:
+    """Length [m] and rate [m/s] of a reel at a time.
+
+    Parameters
+    ----------
+    row : ndarray, shape (5,)
+        As in `Commands.reel`.
+    time : float
+    per_s : float
+        Unit of the time, as of `with_failures`.
+    """
+    begun = row[0] if per_s == 1.0 else round(row[0] * per_s)
+    return np.array(cubic_at(row[1:], (time - begun) / per_s if row[2:].any() else 0.0))
+
+
+def held(system: System, acting: Commands, event: Happened, per_s: float = 1.0) -> Happened:
+    """A failure with what its actuator goes on with, which is what it does as it fails.
+
+    Parameters
+    ----------
+    system : System
+    acting : Commands
+        What acts at its time.
+    event : Happened
+    per_s : float
+        As of `with_failures`.
+    """
+    if event.held is not None or event.kind == HEALTHY:
+        return event
+    if event.place < system.n:
+        return event._replace(held=acting.force_n[:, event.place])
+    length_m, rate_m_s = reel_at(acting.reel[event.place - system.n], event.time, per_s)
+    return event._replace(held=np.array([length_m, rate_m_s if event.kind == STUCK else 0.0]))
+
+
+def _stop(system, event, per_s):
+    """When a stuck reel has wound in what it can; None if it does not."""
+    if event.place < system.n or event.kind != STUCK or event.held[1] >= 0.0:
+        return None
+    time = event.time + per_s * max(0.0, event.held[0] - LEAST_M) / -event.held[1]
+    time = time if per_s == 1.0 else round(time)
+    return event._replace(time=time, held=np.array([LEAST_M, 0.0]))
+
+
+def _acting(system, commanded, cut, failed, per_s):
     force_n, gone = np.array(commanded.force_n), np.array(commanded.cut)
-    for bead, failure in failed.items():
-        if failure.kind == DEAD:
-            force_n[:, bead] = 0.0
-        elif failure.kind == STUCK:
-            force_n[:, bead] = failure.force_n
+    reel = np.array(commanded.reel)
+    for place, failure in failed.items():
+        if failure.kind == HEALTHY:
+            continue
+        if place >= system.n:
+            length_m, rate_m_s = failure.held
+            since_s = failure.time / per_s if rate_m_s else 0.0
+            reel[place - system.n] = since_s, length_m, rate_m_s, 0.0, 0.0
+        elif failure.kind == DEAD:
+            force_n[:, place] = 0.0
+        else:
+            force_n[:, place] = failure.held
     gone[list(cut)] = True
-    return commanded._replace(force_n=force_n, cut=gone)
+    return commanded._replace(force_n=force_n, cut=gone, reel=reel)
 
 
 def news_alone(

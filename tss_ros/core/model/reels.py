@@ -25,6 +25,8 @@ from tss_ros.core.model.system import State, System
 SHARE_OUT = 1e-3
 #: Least length [m] that a reel leaves out.
 SHORTEST_M = 0.1
+#: Shortest length [m] that a reel may be told to leave out.
+LEAST_M = 2.0 * SHORTEST_M
 #: Rest length [m] of a tether that is cut: it never becomes taut.
 NEVER_M = 1e15
 
