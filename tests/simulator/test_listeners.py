@@ -12,6 +12,7 @@ from rosgraph_msgs.msg import Clock
 from simulation_interfaces.srv import StepSimulation
 from tss_interfaces.srv import Disturb, GetStates
 
+from tss_ros.bags.verify import verify
 from tss_ros.ros.topics import read_topics
 from tss_ros.simulator.sim_node import STATE_TOPICS
 
@@ -138,5 +139,6 @@ def test_who_comes_while_time_stands_still_gets_the_newest_step(start, client):
     simulator.settled()
     assert logger.stop() == 0 and process.stop() == 0
     assert " 0 lost" in logger.stdout
+    assert verify(logger.directory / "bag").faults == ()
     for topic in ("/bead_states", "/tether_states"):
         assert recorded_steps(logger.directory / "bag", topic) == list(range(7))

@@ -66,13 +66,17 @@ def verify(bag: str | Path) -> Verification:
     return Verification(tuple(_report(bag, checked, files, faults)), tuple(map(str, faults)))
 
 
+#: What the notes of a recorder call messages that it left out of a topic.
+_LEFT_OUT = ("malformed ", "repeated ")
+
+
 def _unaccounted(checked):
-    """Gaps of sequence numbers that the recorder did not count, as lost or as malformed."""
+    """Gaps of sequence numbers that the recorder did not count: lost, malformed or repeated."""
     notes = checked[-1].notes
     missing = sum(file.missing for file in checked)
     if "lost" not in notes or not all(file.notes for file in checked):
         return
-    told = [n for name, n in notes.items() if name == "lost" or name.startswith("malformed ")]
+    told = [n for name, n in notes.items() if name == "lost" or name.startswith(_LEFT_OUT)]
     if missing > (counted := sum(int(n) for n in told if n.isdecimal())):
         reason = f"sequence numbers leave out {missing} messages; the recorder counted {counted}"
         yield Damage(checked[-1].path.name, 0, 0, reason, {})

@@ -157,7 +157,7 @@ class LoggerNode(TssNode):
         self._writer.flush()
 
     def _note_lost(self):
-        """Keep what the bag will say about losses up to date."""
+        """Keep what the bag will say about messages that are not in it up to date."""
         notes = self._writer.notes
         for name in [name for name in notes if name.startswith(LEFT_OUT)]:
             del notes[name]  # the names of simulators may have become known meanwhile
@@ -166,6 +166,8 @@ class LoggerNode(TssNode):
             notes[f"lost {topic.full_name}"] = str(topic.lost)
             if topic.malformed:
                 notes[f"malformed {topic.full_name}"] = str(topic.malformed)
+            if topic.repeated:
+                notes[f"repeated {topic.full_name}"] = str(topic.repeated)
         for name, count in self._simulators.left_out.items():
             notes[LEFT_OUT + name] = str(count)
 
@@ -222,7 +224,10 @@ class LoggerNode(TssNode):
                 f"{lost} messages of {topic.name} were lost, {self._lost} in all"
             )
         if topic.every_step and data == topic.newest:
-            return  # a simulator that stands still repeats it for those who come late
+            # A simulator that stands still repeats it for those who come late.
+            topic.repeated += 1
+            self._note_lost()
+            return
         topic.newest = data
         if block:
             self._record_block(block, taken)

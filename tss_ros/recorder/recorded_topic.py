@@ -56,8 +56,9 @@ class RecordedTopic(Waitable):
 
     Attributes
     ----------
-    lost, malformed : int
-        Messages that were lost on their way, and those that were none of the type.
+    lost, malformed, repeated : int
+        Messages that were lost on their way, those that were none of the type, and those that were
+        recorded already.
     heard : int
         Messages that came.
     newest, newest_ns : bytes and int, or None
@@ -77,7 +78,7 @@ class RecordedTopic(Waitable):
         self.every_step = (
             self.of_simulator and topic.durability == "volatile" and not topic.optional
         )
-        self.lost = self.malformed = self.heard = 0
+        self.lost = self.malformed = self.repeated = self.heard = 0
         self.newest = self.newest_ns = None
         self._form, self._stamp_offset = Form(topic.type), topic.stamp_offset
         self._has_step = topic.name in ("bead_states", "tether_states")
