@@ -427,6 +427,7 @@ def test_slow_modes_keep_their_digits_beside_strong_damping():
     assert np.sort(swings) == pytest.approx([math.sqrt(3.0)] * 2 + [2.0] * 2, rel=1e-4)
 
 
+@pytest.mark.long
 def test_long_chains_show_the_exponents_that_decay_least():
     system = formation("chain", 2, beads_per_tether=120)
     result = compute_floquet(system, 0.0)

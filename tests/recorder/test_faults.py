@@ -22,7 +22,7 @@ from tss_ros.bags import recover
 
 #: Wall time [s] that a killed recorder may lose.
 ALLOWED_LOSS_S = 0.5
-KILLS = 3
+KILLS = 2
 #: What takes a moment may take so long [s] on a busy machine.
 SOON_S = 60
 

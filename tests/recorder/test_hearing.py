@@ -178,6 +178,7 @@ def test_silence_is_told_on_both_sides(start):
     assert simulator.stop() == 0 and logger.stop() == 0
 
 
+@pytest.mark.long
 def test_a_simulator_that_publishes_elsewhere_is_told(start):
     """It runs, its reports are heard, and nobody publishes what is to be recorded."""
     logger = start("logger_node", output="bag")

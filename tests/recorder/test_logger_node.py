@@ -90,7 +90,7 @@ def reset_a_few_times(simulator):
     return last
 
 
-@pytest.mark.parametrize("in_bulk", [False, True])
+@pytest.mark.parametrize("in_bulk", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_recording_survives_time_going_back(start, tmp_path, in_bulk):
     """Every step of every run is in the bag, and each run is described."""
     process = start("sim_node", time_scale=800, wait_for_recorder=True, publish_period_s=2)

@@ -105,7 +105,7 @@ def test_errors_have_the_sizes_of_their_parameters():
     for name, size in ERRORS.items():
         quantity, kind = name.split("_")[:2]
         shown = []
-        for k in range(1500):
+        for k in range(600):
             seed, time = (k, 0) if kind == "bias" else (1, k)
             own = sensors(seed=seed, **{name: size})
             _, r, v = own.relative_states(0, time, position_m, velocity_m_s)
@@ -114,7 +114,7 @@ def test_errors_have_the_sizes_of_their_parameters():
         for other in ERRORS:
             found = np.array([s[other.split("_")[0]] for s in shown]).std(axis=0)
             expected = size if other.startswith(quantity) else 0.0
-            np.testing.assert_allclose(found, expected, rtol=0.08, err_msg=f"{name} in {other}")
+            np.testing.assert_allclose(found, expected, rtol=0.13, err_msg=f"{name} in {other}")
 
 
 def test_ranges_are_of_whole_tethers_from_satellite_to_satellite():

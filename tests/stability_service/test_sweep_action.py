@@ -324,6 +324,7 @@ def test_a_sweep_ends_with_the_node(tmp_path):
         assert client.process.stop() == 0, client.process.stderr
 
 
+@pytest.mark.long
 def test_a_cluster_sweeps_as_well_as_the_node_and_its_loss_is_told(client, tmp_path):
     goal = {"spin_rate_ratio": [-2.5, 1e-4, -3.0], "parameter": "satellites", "value": [3.0, 1.0]}
     interval = {"spin_rate_ratio_from": -2.1, "spin_rate_ratio_to": -1.1, "tolerance": 1e-5}

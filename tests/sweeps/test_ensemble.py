@@ -127,7 +127,7 @@ def test_held_is_what_a_confirmation_calls_so():
     assert of_ensemble.deviation_from_centre == pytest.approx(alone.deviation_from_centre, rel=1e-6)
 
 
-@pytest.mark.parametrize("where", ["threads", "cluster"])
+@pytest.mark.parametrize("where", ["threads", pytest.param("cluster", marks=pytest.mark.long)])
 def test_files_are_the_same_to_the_last_bit_wherever_the_motions_were_made(
     tmp_path, finished, where
 ):

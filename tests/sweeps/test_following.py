@@ -73,6 +73,7 @@ def test_a_curve_of_special_points_is_saved_loaded_and_drawn(past_first_slack, t
         families.load(file)
 
 
+@pytest.mark.long
 def test_a_branch_is_followed_from_a_saved_family(tmp_path):
     pair = ["tether_length_m=1000", "axial_stiffness_n=5e5", "damping_n_s_per_m=500"]
     common = ["chain", "--override", "satellites=2", *pair]

@@ -131,6 +131,7 @@ def test_files_are_the_same_to_the_last_bit_on_a_cluster(tmp_path, finished, das
     assert files(tmp_path) == files(finished)
 
 
+@pytest.mark.long
 def test_killed_again_and_again_it_does_only_what_is_missing(tmp_path, finished):
     before = {}
     for enough in (3, 9):
@@ -272,6 +273,7 @@ def test_a_worker_without_the_package_is_named(tmp_path):
         assert worker.running
 
 
+@pytest.mark.long
 def test_a_cluster_that_loses_all_its_workers_is_given_up(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(cluster, "NO_WORKER_S", 2.0)
     with dask_cluster.running(tmp_path, 1) as own:
