@@ -9,6 +9,7 @@ from simulation_interfaces.srv import StepSimulation
 from tss_interfaces.msg import (
     CriticalRate,
     FloquetResult,
+    GrowthResult,
     Mode,
     SimulationEvent,
     SpecialPoint,
@@ -82,6 +83,7 @@ def test_what_cannot_be_published_ends_the_node_with_one_line(start, given, expe
     [
         (FloquetResult, "VERDICT", core.VERDICTS),
         (FloquetResult, "FAMILY", core.FAMILIES),
+        (GrowthResult, "VERDICT", core.GROWTH_VERDICTS),
         (CriticalRate, "CAUSE", core.CAUSES),
         (SpecialPoint, "KIND", core.SPECIAL_KINDS),
         (Mode, "DIRECTION", core.DIRECTIONS),

@@ -11,9 +11,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from scipy.optimize import brentq
 from tss_interfaces.msg import FloquetResult
-from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+from tss_interfaces.srv import ComputeFloquet, ComputeGrowth, FindCriticalRates
 
-from tss_ros.core import Propagator, compute_floquet, tether_state
+from tss_ros.core import Propagator, compute_floquet, lyapunov_exponents, tether_state
 from tss_ros.scenarios import scenario
 
 # Table 1 of the paper, worked out here and not by the package.
@@ -436,3 +436,52 @@ def test_a_long_request_blocks_neither_parameters_nor_the_end(tmp_path):
         assert values[0].string_value == "three_star" and not answer.done()
         assert process.stop() == 0, process.stderr
     assert "Traceback" not in process.stderr
+
+
+# --- growth
+
+
+def grow(asked, rates, overrides=None, **fields):
+    request = ComputeGrowth.Request(spin_rate_ratio=rates, overrides=messages(overrides or {}))
+    for name, value in fields.items():
+        setattr(request, name, value)
+    return asked(ComputeGrowth, "compute_growth", request)
+
+
+def test_growth_on_an_ellipse_is_that_of_the_core(asked):
+    answer = grow(asked, [-2.9, -1.9], {"eccentricity": 0.1}, turns=40, count=3)
+    assert answer.success and not answer.message
+    system = scenario.load("three_star").build({"satellite_mass_kg": 120.0, "eccentricity": 0.1})
+    for result in answer.results:
+        expected = lyapunov_exponents(system, result.spin_rate_ratio, 40, 3)
+        assert result.verdict == expected.verdict and result.turns == 40
+        assert result.turn_s == expected.turn_s and result.switches == expected.switches
+        for name in ("exponent_per_s", "error_per_s", "history_per_s"):
+            found = np.reshape(getattr(result, name), getattr(expected, name).shape)
+            np.testing.assert_array_equal(found, getattr(expected, name))
+        assert list(result.position_m) == expected.state.position_m.ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"turns": 5}, "turns is 5; allowed: "),
+        ({"count": 0}, "count is 0; allowed: a whole number from 1 to 18"),
+        ({"count": 19}, "count is 19; allowed: a whole number from 1 to 18"),
+        ({"turns": 60_000}, "turns is 60000 and count 2; allowed: a rate or more, and rates times"),
+        ({"rates": []}, "spin_rate_ratio has 0 rates"),
+        ({"position_m": [1.0]}, "position_m has 1 numbers; allowed: 9"),
+    ],
+)
+def test_questions_about_growth_that_are_refused(asked, fields, said):
+    answer = grow(asked, fields.pop("rates", [-2.9]), **fields)
+    assert not answer.success and said in answer.message and not answer.results
+
+
+def test_a_rate_whose_growth_cannot_be_told_says_why(asked):
+    answer = grow(asked, [math.nan, -2.9], turns=16)
+    assert answer.success
+    failed, found = answer.results
+    assert "spin_rate_ratio" in failed.message and "nan" in failed.message
+    assert not failed.verdict and not failed.exponent_per_s and math.isnan(failed.turn_s)
+    assert found.verdict == "no growth seen" and len(found.exponent_per_s) == 2

@@ -9,6 +9,7 @@ from tss_interfaces.msg import (
     CriticalRate,
     FamilyPoint,
     FloquetResult,
+    GrowthResult,
     Mode,
     SpecialPoint,
 )
@@ -73,6 +74,27 @@ def failed_floquet_result(
         "tether_law": system.tether_law,
     }
     return FloquetResult(message=message, **{**unknown, **known})
+
+
+def growth_result(result: core.GrowthResult) -> GrowthResult:
+    """A core GrowthResult as a message; fields have the same names, arrays are flat."""
+    arrays = {name: doubles(getattr(result, name)) for name in _OF_GROWTH}
+    arrays |= {name: doubles(getattr(result.state, name)) for name in _OF_STATE}
+    return _same_fields(GrowthResult, result, message="", **arrays)
+
+
+def failed_growth_result(spin_rate_ratio: float, message: str) -> GrowthResult:
+    """The message for a rate that could not be computed."""
+    return GrowthResult(
+        spin_rate_ratio=spin_rate_ratio,
+        turn_s=math.nan,
+        resolution_per_s=math.nan,
+        message=message,
+    )
+
+
+_OF_GROWTH = ("exponent_per_s", "error_per_s", "history_per_s")
+_OF_STATE = ("position_m", "velocity_m_s")
 
 
 def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tss_interfaces.action import Follow, Sweep
-from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+from tss_interfaces.srv import ComputeFloquet, ComputeGrowth, FindCriticalRates
 
 from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, State, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
+from tss_ros.core.stability.growth import FEWEST_TURNS
 from tss_ros.ros import systems
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
 from tss_ros.scenarios.starts import given_start
@@ -29,6 +30,8 @@ MAX_TURNS, MAX_BEAD_TURNS = 1000, 10_000
 #: satellites: some 400 rates, of which those with slack tethers take twenty times as long as
 #: others).
 MAX_SEARCH = 540
+#: The most turns, times beads, times exponents, of all rates of a request about growth: minutes.
+MAX_GROWTH = 200_000
 #: A sweep can be canceled, so only its result must stay of a size that can be sent: jobs, jobs
 #: times beads, and the width of an interval.
 MAX_JOBS, MAX_JOB_BEADS, MAX_WIDTH = 10_000, 100_000, 1000
@@ -44,6 +47,9 @@ MOST_POINTS = Parameter("most_points", int, "Most points", "", 1, 10_000, defaul
 #: The simulation beside a verdict; how many turns are allowed depends on the system.
 CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)
 DISTURBANCE = Parameter("confirm_disturbance_m", float, "Norm of the offsets", "m", 1e-6, 1e6)
+#: How growth is measured.
+TURNS = Parameter("turns", int, "Turns to carry displacements", "", FEWEST_TURNS, MAX_GROWTH)
+EXPONENTS = Parameter("count", int, "Exponents", minimum=1, maximum=6 * MAX_BEADS)
 #: Times of a turn at which a mode may be asked for, and those of all rates together times beads.
 MODE_SAMPLES = Parameter("mode_samples", int, "Times of a turn", minimum=0, maximum=500)
 MAX_MODE_PLACES = 200_000
@@ -116,6 +122,19 @@ def check_floquet(request: ComputeFloquet.Request, system: System) -> tuple[str,
     return method, turns
 
 
+def check_growth(request: ComputeGrowth.Request, system: System) -> None:
+    """Refuse a ComputeGrowth request for more than is allowed."""
+    TURNS.check(request.turns)
+    replace(EXPONENTS, maximum=6 * system.n).check(request.count)
+    rates, each = len(request.spin_rate_ratio), request.turns * request.count * system.n
+    if not (rates and rates * each <= MAX_GROWTH):
+        raise TssError(
+            f"spin_rate_ratio has {rates} rates, turns is {request.turns} and count"
+            f" {request.count}; allowed: a rate or more, and rates times turns times count at most"
+            f" {MAX_GROWTH // system.n} for {system.n} beads"
+        )
+
+
 def check_search(request: FindCriticalRates.Request, system: System) -> tuple[float, float, float]:
     """The ends, the smaller first, and the tolerance of a FindCriticalRates request."""
     low, high, tolerance = _interval(request)
@@ -165,7 +184,9 @@ def check_follow(request: Follow.Goal, system: System, own_ratio: float) -> dict
 
 
 def read_start(
-    request: ComputeFloquet.Request | Follow.Goal, system: System, own: State | None
+    request: ComputeFloquet.Request | ComputeGrowth.Request | Follow.Goal,
+    system: System,
+    own: State | None,
 ) -> State | None:
     """The start that a request gives, or else the scenario's own, which may be none."""
     if not (request.position_m or request.velocity_m_s):

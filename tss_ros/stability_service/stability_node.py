@@ -10,7 +10,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
 from tss_interfaces.action import Follow, Sweep
-from tss_interfaces.srv import ComputeFloquet, FindCriticalRates
+from tss_interfaces.srv import ComputeFloquet, ComputeGrowth, FindCriticalRates
 
 from tss_ros.core import (
     Cancelled,
@@ -20,6 +20,7 @@ from tss_ros.core import (
     confirm,
     find_critical_rates,
     follow,
+    lyapunov_exponents,
     sweep,
 )
 from tss_ros.ros import actions, parameters, systems
@@ -43,7 +44,7 @@ PROGRESS_PERIOD_S = 5.0
 
 
 class StabilityNode(TssNode):
-    """Offers services `~/compute_floquet`, `~/find_critical_rates`, actions `~/sweep`, `~/follow`.
+    """Offers services and actions that ask for the stability of a formation.
 
     Every result, whoever asked for it, is published on `stability_results` as well. Requests wait
     for each other, and so do goals, in the order in which they came; neither waits for the other.
@@ -69,6 +70,7 @@ class StabilityNode(TssNode):
         for kind, name, work in (
             (ComputeFloquet, "compute_floquet", self._compute_floquet),
             (FindCriticalRates, "find_critical_rates", self._find_critical_rates),
+            (ComputeGrowth, "compute_growth", self._compute_growth),
         ):
             on_request = functools.partial(self._on_request, work)
             self.create_service(kind, f"~/{name}", on_request)
@@ -223,6 +225,25 @@ class StabilityNode(TssNode):
         )
         response.rates = [messages.critical_rate(system, rate) for rate in found]
         return requests.left_out(low, high) + requests.unused_start(own_start)
+
+    def _compute_growth(self, system, _, own_start, request, response):
+        """Fill in the results of a request."""
+        requests.check_growth(request, system)
+        start = requests.read_start(request, system, own_start)
+        log_progress = self._progress_logger()
+        how = request.turns, request.count, start
+        results, rates = [], request.spin_rate_ratio
+        for i, rate in enumerate(rates):
+            log_progress(f"{i} of {len(rates)} rates computed")
+            try:
+                found = lyapunov_exponents(system, rate, *how, cancelled=self._stopping.is_set)
+                results.append(messages.growth_result(found))
+            except Cancelled:
+                raise
+            except TssError as error:
+                results.append(messages.failed_growth_result(rate, str(error)))
+        response.results = results
+        return []
 
     def _follow(self, goal, progress, result):
         """Fill in the family that a goal asks for and return remarks on it."""
