@@ -16,19 +16,26 @@ from tss_ros.bags.wrenches import read_commands
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
-from tss_ros.core.model.failures import Change, FailureWatch, Happened, with_failures
+from tss_ros.core.model.failures import (
+    Change,
+    FailureWatch,
+    Happened,
+    news_alone,
+    with_failures,
+)
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, States, StepMessages, header, system_description
 from tss_ros.messages.topics import STATE_TOPICS, read_topics
 from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import RUN, TURNS, override
+from tss_ros.scenarios.parameters import REEL_LIMITS, RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import news
+from tss_ros.simulator.reel_law import ReelLaw
 from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
-from tss_ros.simulator.trajectory import compute_states, edge_s
+from tss_ros.simulator.trajectory import compute_states, edge_s, edges_from
 
 #: Most states integrated and written in one go, and most of them times beads.
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
@@ -64,8 +71,9 @@ def simulate(
         Asked again and again whether to end.
     commands : sequence of (int, Commands) or Change, optional
         Simulation times [ns] at which what acts from outside changes, and what acts from then on,
-        as `bags.wrenches.read_commands` gives them: failures are among it, so that those of the
-        setup are not looked for. If it is not given, they are, and reels do what the setup says.
+        as `bags.wrenches.read_commands` gives them: failures and rates of the law of reels are
+        among it, so that neither those of the setup are looked for nor its law acts. If it is not
+        given, they are, and reels do what the setup says.
 
     Returns
     -------
@@ -118,7 +126,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             raise Cancelled(f"stopped at state {first}")
         before = make_checkpoint(propagator, first)
         try:
-            count = min(most, last + 1 - first)
+            count = min(most, last + 1 - first, story.law.left)
             states = compute_states(setup, propagator, first, count, cancelled)
         except IntegrationError:
             if most == 1:
@@ -134,6 +142,8 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             propagator.command(story.plan)
             compute_states(setup, propagator, first, kept, cancelled)
             most = longest
+        if story.follow_law(states):
+            propagator.command(story.plan)
         for topic, time_ns, message, number in story.told(first, states):
             writer.write(channels[topic], message, time_ns, time.time_ns(), number)
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
@@ -157,11 +167,12 @@ class _Story:
     def __init__(self, setup, commands):
         self._setup = setup
         # What the setup itself has its reels do; after its beginning commands replace that.
-        own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
+        self._table, self.law = setup.commands, ReelLaw(setup, acts=commands is None)
+        own = edges_from(self._table, 0)
         self._given = own if commands is None else [own[0], *commands]
         self._watch = FailureWatch(setup.system, setup.failures if commands is None else ())
         self._happened = [h._replace(time=round(h.time * 1e9)) for h in self._watch.timed()]
-        self._before, self._numbers, self._told = None, dict.fromkeys((APPLIED, EVENTS), 0), 0
+        self._before, self._numbers, self._told_ns = None, dict.fromkeys((APPLIED, EVENTS), 0), -1
 
     @property
     def _changes(self):
@@ -193,16 +204,33 @@ class _Story:
             self._happened.append(Happened(time_ns, place, failure.kind))
         return row + 1 if failures else 0
 
+    def follow_law(self, states):
+        """Let the law of reels see these states; whether it has commanded something."""
+        if not self.law.look(self._table, states):
+            return False
+        now_ns = int(states.time_ns[-1])
+        self._table.collect(now_ns)
+        # Of what has been told only what still acts is kept.
+        told = [c for c in self._given if c[0] <= self._told_ns][-1:]
+        untold = [c for c in self._given if self._told_ns < c[0] < now_ns]
+        begun_ns, acting = told[0] if told else (0, Commands.none(self._setup.system))
+        later = untold + edges_from(self._table, now_ns)
+        self._given = told + news_alone(acting, later)
+        self._happened = [h._replace(time=max(h.time, begun_ns)) for h in self._happened]
+        return True
+
     def told(self, first, states):
         """Messages of all that came to act before the last of these states, of number `first` on.
 
         Topic, simulation time [ns], the message and its number in its topic.
         """
-        system, changes = self._setup.system, self._changes
-        for change in changes[self._told :]:
+        system = self._setup.system
+        for change in self._changes:
+            if change.time <= self._told_ns:
+                continue
             if not change.time < states.time_ns[-1] and (change.time or first):
                 break
-            self._told += 1
+            self._told_ns = change.time
             # What acts from the beginning on is told with the first state.
             row = int(np.searchsorted(states.time_ns, change.time, side="right"))
             row = row if change.time else 0
@@ -277,7 +305,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     overrides : mapping
         Parameters that differ from the scenario's.
     run : mapping
-        A value of each of `parameters.RUN`.
+        A value of each of `parameters.RUN`, and of `REEL_LIMITS` that differ from their defaults.
 
     Returns
     -------
@@ -291,9 +319,11 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     loaded = scenario.load(scenario_name)
     system = loaded.build(overrides)
     given = {p.name: p.check(run[p.name]) for p in RUN}
+    given |= {p.name: p.check(run.get(p.name, p.default)) for p in REEL_LIMITS}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(said, system, ratio, loaded.start(system), **declared(loaded, system))
+    happens = declared(loaded, system, given["publish_period_s"])
+    return Setup.of(said, system, ratio, loaded.start(system), **happens)
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -309,7 +339,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR", help="the bag, to be made"
     )
-    for parameter in RUN:
+    for parameter in (*RUN, *REEL_LIMITS):
         needed = parameter is TURNS
         default = "" if needed else f" Default: {parameter.default:g}"
         parser.add_argument(
@@ -326,7 +356,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         " scenario declares are not looked for",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    for parameter in RUN:
+    for parameter in (*RUN, *REEL_LIMITS):
         try:
             parameter.check(getattr(options, parameter.name))
         except TssError as error:
