@@ -191,8 +191,9 @@ class _Story:
 
     @property
     def plan(self):
-        """For the integrator."""
-        return [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        """For the integrator, which needs to know no failures but what they make of commands."""
+        edges = [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        return news_alone(Commands.none(self._setup.system), edges)
 
     def fail(self, states):
         """Let fail what these states show the events for; how many of them to keep, 0 for all."""
