@@ -96,8 +96,7 @@ def test_the_law_is_named_where_another_parameter_is_varied():
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),
         (("--parameter", "j2", "--values", "a", "--rates", "-3", "-2", "2"), 2, "--values of j2"),
         (
-            ("--parameter", "tether_law", "--values", "tension", "--rates", "-3", "-2", "2"),
-            1,
+            ("--parameter", "tether_law", "--values", "tension", "--rates", "-3", "-2", "2"), 1,
             "did you mean 'tension_only'?",
         ),
         (("--critical", "-2", "-2"), 1, "must not be empty"),

@@ -118,7 +118,9 @@ def test_what_is_no_family_is_refused(tmp_path):
 
 def test_a_family_is_shown_saved_drawn_and_gone_on_with(tmp_path):
     file, picture = tmp_path / "family.parquet", tmp_path / "family.png"
-    done = run("three_star", "--from", "-2.3", "--to", "-2.14", "--output", file, "--plot", picture)
+    done = run(
+        "three_star", "--from", "-2.3", "--to", "-2.14", "--output", file, "--plot", picture
+    )
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("three_star, spin_rate_ratio from -2.3 to -2.14, kelvin_voigt, ")
