@@ -345,6 +345,8 @@ class Simulation:
 
     def _look(self):
         """Let fail what the newest state is the event for, and let the law of reels see it."""
+        if not self._watch.due.any() and self._law.left == math.inf:
+            return
         newest, now_ns, failures = self.newest.alone, self.newest.time_ns, []
         if self._watch.due.any():
             _, failures = self._watch.look(newest.tension_n, newest.taut)
