@@ -352,3 +352,34 @@ def test_a_scenario_begins_on_its_reels_and_flies_its_profile(start, client, tmp
     expected = np.interp(bag.t_s, [10.0, 60.0], [430.0, 460.0])
     np.testing.assert_allclose(out, expected[:, None] * np.ones(3), rtol=1e-12)
     assert process.stop() == 0
+
+
+def test_a_node_obeys_a_law_and_lets_go_of_a_commanded_reel(start, client, tmp_path):
+    (tmp_path / "follows.yaml").write_text(
+        "formation: ring\nspin_rate_ratio: -2.9\ndamping_n_s_per_m: 0.0\n"
+        "reel_control: {damping_n_s_per_m: 1000.0, stiffness_n_per_m: 1.0, sample_s: 4.0}\n"
+    )
+    scenario = {"scenario": str(tmp_path / "follows.yaml"), "service_folder": "/"}
+    with flown(start, client, Winch, **GIVEN, **scenario) as winch:
+
+        def seen(count):
+            """Rates of all reels at each sample of the run."""
+
+            def of_run():
+                return [m for m in winch.applied if m.run == winch.applied[-1].run]
+
+            winch.sim.spin_until(lambda: len(of_run()) == count, 10, "rates of the law")
+            return np.array([np.reshape(m.reel, (-1, 5))[:, 2] for m in of_run()])
+
+        winch.step(7)
+        free = seen(4)
+        assert free.shape == (4, 3) and (np.diff(free, axis=0) != 0.0).all()
+        winch.reel("tether_2", velocity=[-0.5])
+        winch.step(6)
+        assert (seen(8)[4:, 1] == -0.5).all() and (np.diff(seen(8)[4:, ::2], axis=0) != 0.0).all()
+        refused = winch.sim.set(publish_period_s=3.0)
+        assert not refused.successful
+        assert "sample_s is 4 s; allowed: whole multiples of publish_period_s" in refused.reason
+        assert winch.sim.set(reel_rate_limit_m_s=1e-6).successful
+        winch.step(2)
+        assert (np.abs(seen(9)[-1, ::2]) == 1e-6).all() and seen(9)[-1, 1] == -0.5

@@ -17,11 +17,12 @@ COMMANDS = {
     "failures": np.array([[10, 1, 2, 1]]),
     "held": np.ones((1, 9)),
     "due": np.array([True, False, True]),
-    "reel_heads": np.array([[30, 2, 0, 1]]),
+    "reel_heads": np.array([[30, 2, 0, 1, 0]]),
     "reel_limits": np.array([[1.0, 1.0, 0.0]]),
     "reel_points": np.array([[5.0, 0.0, -0.5]]),
     "reel_since_ns": np.array([0, 7, 9]),
     "reel_cubic": np.array(3 * [[9e3, 0.5, 0.0, 0.0]]),
+    "law_left": np.array([4]),
 }
 
 

@@ -14,6 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
+from tss_ros.bags.wrenches import read_commands
 from tss_ros.core import Cancelled, TssError
 from tss_ros.core.motion import integrate
 from tss_ros.ros.topics import message_class
@@ -141,3 +142,17 @@ def test_a_motion_that_cannot_go_on_is_in_the_bag_to_its_end(tmp_path, capsys, m
     assert straight.main(words) == 1
     end_s = float(re.search(r"tethers chatter at ([\d.e+]+) s", capsys.readouterr().err)[1])
     assert end_s - 2.0 < read_bag(tmp_path / "bag").t_s[-1] <= end_s
+
+
+def test_an_event_comes_long_after_a_failure_that_changes_no_force(tmp_path, monkeypatch):
+    monkeypatch.setattr(straight, "CHUNK_STEPS", 100)
+    (tmp_path / "fails.yaml").write_text(
+        "formation: ring\nspin_rate_ratio: -1.8\ndamping_n_s_per_m: 0.0\nfailures:\n"
+        "  - {at_s: 13.0, dead: satellite_1}\n"
+        "  - {when: {tether: tether_3, slack: true}, cut: tether_1}\n"
+    )
+    setup = straight.setup_of(str(tmp_path / "fails.yaml"), {}, RUN | {"disturbance_m": 0.0})
+    straight.simulate(setup, 0.3, tmp_path / "bag")
+    dead, cut = read_commands(tmp_path / "bag", setup.system)
+    assert dead.time == 13 * 10**9 and not dead.commands.cut.any()
+    assert cut.time > 400 * 10**9 and cut.commands.cut.tolist() == [True, False, False]

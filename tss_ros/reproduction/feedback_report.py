@@ -267,6 +267,8 @@ def _reels(rows):
         "Three satellites have no shape out of the plane but the tilt, so that reels alone make"
         " them asymptotically stable. Five have waves out of the plane. Reels leave them as they"
         " are. Where none was found, Newton's method did not close a motion, and nothing is said.",
+        "Scenarios name the law for simulations, where a controller samples:"
+        " [Let reels follow tension](howto/control.md#let-reels-follow-tension).",
     ]  # fmt: skip
 
 

@@ -143,20 +143,7 @@ SIMULATOR = scenario_parameters.distinct((
         "command_limit_n", float, "Largest force commanded; larger ones are scaled back", "N",
         minimum=0.0, maximum=1e6, default=0.0, applies="at once", note="0: no limit",
     ),
-    Parameter(
-        "reel_rate_limit_m_s", float,
-        "Largest rate of a reel, in or out; faster commands are slowed", "m/s",
-        minimum=0.0, maximum=1e3, default=1.0, applies="at once",
-        note="0: no limit; targets without a speed are reached at it",
-    ),
-    Parameter(
-        "reel_shortest_m", float, "Length out at which a reel stops taking in", "m",
-        minimum=0.2, maximum=1e7, default=1.0, applies="at once",
-    ),
-    Parameter(
-        "reel_longest_m", float, "Length out at which a reel stops paying out", "m",
-        minimum=0.0, maximum=1e7, default=0.0, applies="at once", note="0: no limit",
-    ),
+    *(Parameter(**vars(p), applies="at once") for p in scenario_parameters.REEL_LIMITS),
     Parameter(
         "sensor_period_s", float,
         "Simulated time between measurements; each is of the first step at or after its time", "s",

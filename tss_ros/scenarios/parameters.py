@@ -255,7 +255,24 @@ TURNS = Parameter(
     minimum=0.0, maximum=1e6, default=0.0,
 )  # fmt: skip
 RUN = (PUBLISH_PERIOD, *DISTURBANCE, TURNS)
-distinct((*SCENARIO, *RUN))
+#: What reels do not exceed, whatever is commanded while a run is under way.
+REEL_LIMITS = (
+    Parameter(
+        "reel_rate_limit_m_s", float,
+        "Largest rate of a reel, in or out; faster commands are slowed", "m/s",
+        minimum=0.0, maximum=1e3, default=1.0,
+        note="0: no limit; targets without a speed are reached at it",
+    ),
+    Parameter(
+        "reel_shortest_m", float, "Length out at which a reel stops taking in", "m",
+        minimum=0.2, maximum=1e7, default=1.0,
+    ),
+    Parameter(
+        "reel_longest_m", float, "Length out at which a reel stops paying out", "m",
+        minimum=0.0, maximum=1e7, default=0.0, note="0: no limit",
+    ),
+)  # fmt: skip
+distinct((*SCENARIO, *RUN, *REEL_LIMITS))
 #: What a sweep may vary: all that makes a system, but not the rates, which it has of its own.
 VARIED = tuple(parameter for parameter in FORMATION if not parameter.elements)
 

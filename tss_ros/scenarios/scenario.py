@@ -23,7 +23,8 @@ Instead of its elements the orbit may be given by `two_line_elements`, a list of
 `orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
 
 What is to fail during a simulation is listed by `failures`; see `tss_ros.scenarios.failures`.
-Tethers may begin on their reels: `deployed_m` and `reels`, see `tss_ros.scenarios.reels`.
+Tethers may begin on their reels, and reels may move: `deployed_m`, `reels` and `reel_control`, see
+`tss_ros.scenarios.reels`.
 """
 
 import warnings
@@ -79,7 +80,7 @@ class Scenario:
     failures : tuple of Failure
         What is to fail during a simulation.
     reels : Reels or None
-        How much of its tethers is out as a run begins, and what is flown then; None: all.
+        How much of its tethers is out as a run begins, and what reels do then; None: all.
     """
 
     name: str

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from tss_ros.core import IntegrationError, TssError
 from tss_ros.simulator.backpressure import FlowControl, Logger
 from tss_ros.simulator.pacing import MAX_LAG_S, Meter, Pace
+from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.simulation import Sample, Simulation
 
@@ -20,10 +21,8 @@ from tss_ros.simulator.simulation import Sample, Simulation
 MOST_STEPS = 10_000
 #: Most requests that wait for the simulation; more are refused.
 MOST_REQUESTS = 1000
-#: How often [s] to ask `begin` whether the simulation may begin.
-BEGIN_CHECK_S = 0.05
-#: How often [s] `on_idle` is called at least.
-IDLE_S = 0.1
+#: How often [s] `begin` is asked whether the simulation may begin, and `on_idle` called at least.
+BEGIN_CHECK_S, IDLE_S = 0.05, 0.1
 #: How long [s] a new run, a finished simulator and one that is stopped wait for recorders to have
 #: all that went before. The middleware repeats as late as 3 s what was lost on its way.
 DRAIN_S, FINISH_S, STOP_S = 0.3, 10.0, 4.0
@@ -245,9 +244,9 @@ class Control:
         self.simulation.place(bead, position_m, velocity_m_s)
         self.failure = ""
 
-    def set_timeout(self, answer: Future, timeout_s: float) -> None:
-        """Let forces that are not commanded anew end after so long [s]."""
-        self.simulation.set_timeout(timeout_s)
+    def set_timeout(self, answer: Future, timeout_s: float, limits: Limits) -> None:
+        """Let forces that are not commanded anew end after so long [s]; limit the law of reels."""
+        self.simulation.set_timeout(timeout_s, limits)
         answer.set_result(None)
 
     def save(self, answer: Future, file: str) -> None:

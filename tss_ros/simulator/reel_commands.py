@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tss_ros.core import System, TssError
+from tss_ros.core import ReelControl, System, TssError
 from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
 from tss_ros.core.model.reels import LEAST_M, NEVER_M
+from tss_ros.scenarios.parameters import REEL_LIMITS
 from tss_ros.scenarios.scenario import Scenario
 
 #: What a command may be: a rate, a length to be reached, or a profile, with straight lines between
@@ -42,6 +44,11 @@ class Limits(NamedTuple):
     shortest_m: float = LEAST_M
     longest_m: float = 0.0
 
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Limits:
+        """Those of a simulator's parameters, by name."""
+        return cls(*(options[parameter.name] for parameter in REEL_LIMITS))
+
 
 class ReelCommand(NamedTuple):
     """One command to one reel.
@@ -58,6 +65,8 @@ class ReelCommand(NamedTuple):
         Times from then on [s], lengths [m], rates [m/s]. A rate has its duration, 0 for any, and no
         length. A target has no time, and a speed.
     limits : Limits
+    from_law : bool
+        Whether the law of the reel gave it, `reel_law`.
     """
 
     time_ns: int
@@ -65,6 +74,7 @@ class ReelCommand(NamedTuple):
     kind: int
     points: tuple[tuple[float, float, float], ...]
     limits: Limits = Limits()
+    from_law: bool = False
 
     @property
     def key(self) -> tuple[int, int, bool]:
@@ -102,10 +112,16 @@ class ReelStart(NamedTuple):
         Out of each of `reels.reels`.
     commands : tuple of ReelCommand
         Counted from the beginning of the run.
+    control : ReelControl or None
+        The law of all reels.
+    every : int
+        Published states from one sample of the law to the next.
     """
 
     length_m: tuple[float, ...]
     commands: tuple[ReelCommand, ...] = ()
+    control: ReelControl | None = None
+    every: int = 1
 
 
 class ReelEdge(NamedTuple):
@@ -221,7 +237,7 @@ def _clamped(cubic, duration_s, low, high):
         yield begin, cubic_from(cubic, begin) if limit is None else (limit, 0.0, 0.0, 0.0)
 
 
-def reel_start(loaded: Scenario, system: System) -> ReelStart | None:
+def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> ReelStart | None:
     """What reels do as a run of a scenario begins; None if all tethers are out and stay so.
 
     Parameters
@@ -229,6 +245,7 @@ def reel_start(loaded: Scenario, system: System) -> ReelStart | None:
     loaded : Scenario
     system : System
         What it builds.
+    publish_period_s : float
 
     Raises
     ------
@@ -246,4 +263,22 @@ def reel_start(loaded: Scenario, system: System) -> ReelStart | None:
         kind = CUBICS if profile.rate_m_s else LINES
         commands.append(ReelCommand(round(begun_s * 1e9), place, kind, points))
         commands[-1].check()
-    return ReelStart(tuple(lengths.tolist()), tuple(commands))
+    start = ReelStart(tuple(lengths.tolist()), tuple(commands))
+    if loaded.reels.control is None:
+        return start
+    every = _states_between(loaded.reels.sample_s or publish_period_s, publish_period_s)
+    return start._replace(control=loaded.reels.control, every=every)
+
+
+def _states_between(sample_s, publish_period_s):
+    """Published states from one sample of a law to the next."""
+    share = sample_s / publish_period_s
+    every = max(1, round(share))
+    if abs(share - every) > 1e-9 * every:
+        below = int(share)
+        near = " or ".join(f"{k * publish_period_s:.12g}" for k in (below, below + 1) if k)
+        raise TssError(
+            f"reel_control.sample_s is {sample_s:.12g} s; allowed: whole multiples of"
+            f" publish_period_s, {publish_period_s:.12g} s, as {near}"
+        )
+    return every

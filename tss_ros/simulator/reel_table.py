@@ -53,7 +53,8 @@ class ReelTable:
         with self._lock:
             kept = [*self._waiting.values(), *self._commands.values()]
             size = sum(len(c.points) for c in kept if c.key != command.key)
-            if size + len(command.points) > MOST_KEPT_POINTS + len(self._base):
+            full = size + len(command.points) > MOST_KEPT_POINTS + len(self._base)
+            if full and not command.from_law:
                 return False
             self._waiting.pop(command.key, None)
             self._waiting[command.key] = command
@@ -100,6 +101,11 @@ class ReelTable:
                 newest = edge
         return newest
 
+    def follows_law(self, place: int, time_ns: int) -> bool:
+        """Whether no command but those of its law has come to a reel by a time [ns]."""
+        mine = [c for c in self._of(place) if c.time_ns <= time_ns and c.kind != STAND]
+        return all(c.from_law for c in mine)
+
     def shift(self, by_ns: int) -> None:
         """Move all in time, as the clock is set anew."""
         moved = [c._replace(time_ns=c.time_ns + by_ns) for c in self._commands.values()]
@@ -111,10 +117,10 @@ class ReelTable:
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it keeps, for a snapshot."""
         commands = self._commands.values()
-        heads = [(*c[:3], len(c.points)) for c in commands]
+        heads = [(*c[:3], len(c.points), c.from_law) for c in commands]
         points = [point for c in commands for point in c.points]
         return {
-            "reel_heads": np.array(heads, dtype=np.int64).reshape(-1, 4),
+            "reel_heads": np.array(heads, dtype=np.int64).reshape(-1, 5),
             "reel_limits": np.array([c.limits for c in commands], dtype=float).reshape(-1, 3),
             "reel_points": np.array(points, dtype=float).reshape(-1, 3),
             "reel_since_ns": np.array([edge.time_ns for edge in self._base], dtype=np.int64),
@@ -131,11 +137,12 @@ class ReelTable:
         if len(since) != count or sum(head[3] for head in heads) != len(points):
             raise TssError(f"it has {len(since)} reels and {len(points)} points of commands")
         commands, taken = [], 0
-        for (time_ns, place, kind, size), limit in zip(heads, limits):
-            if not (0 <= place < count and RATE <= kind <= STAND and size >= 1):
+        for (time_ns, place, kind, size, law), limit in zip(heads, limits):
+            known = RATE <= kind <= STAND and law in (0, 1)
+            if not (known and 0 <= place < count and size >= 1):
                 raise TssError(f"there is no command of kind {kind} to reel {place}")
             part = tuple(map(tuple, points[taken : taken + size]))
-            commands.append(ReelCommand(time_ns, place, kind, part, Limits(*limit)))
+            commands.append(ReelCommand(time_ns, place, kind, part, Limits(*limit), bool(law)))
             commands[-1].check()
             taken += size
         base = zip(since, range(count), map(tuple, cubics))

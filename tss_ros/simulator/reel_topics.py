@@ -32,12 +32,6 @@ TETHER, TRAJECTORY = "~/cmd_tether", "~/cmd_tether_trajectory"
 CONTINUOUS_M = 1e-3
 
 
-def read_limits(options: Mapping[str, Any]) -> Limits:
-    """The limits that a node's parameters set."""
-    names = ("reel_rate_limit_m_s", "reel_shortest_m", "reel_longest_m")
-    return Limits(*(options[name] for name in names))
-
-
 def read_tethers(
     message: JointState, system: System, time_ns: int, options: Mapping[str, Any]
 ) -> list[ReelCommand]:
@@ -57,7 +51,7 @@ def read_tethers(
     TssError
         If it is none that can be carried out.
     """
-    places, limits = _places(message.name, system), read_limits(options)
+    places, limits = _places(message.name, system), Limits.of(options)
     columns = _columns(message, ("position", "velocity", "effort"), len(places))
     if columns["effort"] is not None:
         raise TssError("effort is given; allowed: position, velocity or both")
@@ -85,7 +79,7 @@ def read_trajectory(
     message: JointTrajectory, system: System, time_ns: int, options: Mapping[str, Any]
 ) -> list[ReelCommand]:
     """Profiles that a message commands; parameters and errors as for `read_tethers`."""
-    places, limits = _places(message.joint_names, system, "joint_names"), read_limits(options)
+    places, limits = _places(message.joint_names, system, "joint_names"), Limits.of(options)
     fields = ("positions", "velocities", "accelerations", "effort")
     points = [_columns(point, fields, len(places)) for point in message.points]
     if not points:
@@ -205,7 +199,7 @@ class ReelTopics:
 
     def tell(self, system: System, commands: Commands) -> None:
         """Say which reels have stopped at a limit, as something comes to act."""
-        limits, moving = read_limits(self._options()), commands.reel[:, 2:].any(axis=1)
+        limits, moving = Limits.of(self._options()), commands.reel[:, 2:].any(axis=1)
         for i, name in enumerate(reel_names(system)):
             stopped = self._moving is not None and i < self._moving.size and self._moving[i]
             length_m = commands.reel[i, 1]

@@ -26,7 +26,7 @@ from tss_ros.simulator.commands import CommandTable
 from tss_ros.simulator.reel_commands import ReelStart, reel_start
 
 
-def declared(loaded: Scenario, system: System) -> dict[str, Any]:
+def declared(loaded: Scenario, system: System, publish_period_s: float) -> dict[str, Any]:
     """What a scenario has happen in a run, as arguments of `Setup.of`.
 
     Parameters
@@ -34,6 +34,7 @@ def declared(loaded: Scenario, system: System) -> dict[str, Any]:
     loaded : Scenario
     system : System
         What it builds, with whatever overrides.
+    publish_period_s : float
 
     Raises
     ------
@@ -42,7 +43,7 @@ def declared(loaded: Scenario, system: System) -> dict[str, Any]:
     """
     for failure in loaded.failures:
         failure.check(system)
-    return {"failures": loaded.failures, "reels": reel_start(loaded, system)}
+    return {"failures": loaded.failures, "reels": reel_start(loaded, system, publish_period_s)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,4 +168,7 @@ class Setup:
         values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
         values["publish_period_s"] = np.array(self.publish_period_s)
         values["failures"] = np.array([str(failure) for failure in self.failures], dtype=str)
+        law = self.reels and self.reels.control
+        said = [str(law), str(self.reels.every), *map(str, self.reels.length_m)] if law else []
+        values["reel_control"] = np.array(said, dtype=str)
         return values

@@ -36,6 +36,7 @@ from tss_ros.simulator.control import STOP_S, Control
 from tss_ros.simulator.entity_services import EntityServices
 from tss_ros.simulator.for_listeners import ForListeners, check
 from tss_ros.simulator.pacing import Pace
+from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.services import SimulationServices
 from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import Simulation
@@ -159,7 +160,7 @@ class SimNode(TssNode):
                 inside(options["service_folder"], name, "scenario")
             system, *_ = systems.build_system(*systems.split_options(options))
             check(options, system)
-            declared(scenario.load(options["scenario"]), system)
+            declared(scenario.load(options["scenario"]), system, options["publish_period_s"])
             options = systems.without_scenario_values(options)
         except TssError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -173,14 +174,16 @@ class SimNode(TssNode):
                 self._pace.time_scale = options["time_scale"]
                 self._control.meter.read()  # which begins to measure anew
             self._options = options
-            self._control.request(self._control.set_timeout, options["command_timeout_s"])
+            timeout_s, limits = options["command_timeout_s"], Limits.of(options)
+            self._control.request(self._control.set_timeout, timeout_s, limits)
         return outcome
 
     def _make_setup(self):
         built = systems.build_system(*systems.split_options(self._options))
         check(self._options, built[0])
         loaded = scenario.load(self._options["scenario"])
-        return Setup.of(self._options, *built, **declared(loaded, built[0]))
+        happens = declared(loaded, built[0], self._options["publish_period_s"])
+        return Setup.of(self._options, *built, **happens)
 
     # --- in the simulation's thread
 

@@ -14,8 +14,10 @@ from tss_ros.messages.steps import States
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.commands import CUT as CUT_FRAME
 from tss_ros.simulator.commands import Command, CommandTable
+from tss_ros.simulator.reel_commands import Limits
+from tss_ros.simulator.reel_law import ReelLaw
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.trajectory import CHUNK_STEPS, Trajectory, edge_s
+from tss_ros.simulator.trajectory import CHUNK_STEPS, Trajectory, edges_from, plan_of
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
@@ -144,7 +146,7 @@ class Simulation:
         state = self._trajectory.take()
         self.newest = Sample(self._time_ns(self._trajectory.index), *state)
         if self._commands:
-            for time_ns, _ in _edges(self._commands, begun_ns):
+            for time_ns, _ in edges_from(self._commands, begun_ns):
                 if time_ns < self.newest.time_ns:
                     self._tell(self._commands.change(time_ns))
         self._look()
@@ -155,11 +157,13 @@ class Simulation:
         changes, self._changes = self._changes, []
         return changes
 
-    def set_timeout(self, timeout_s: float) -> None:
+    def set_timeout(self, timeout_s: float, limits: Limits | None = None) -> None:
         """Let forces end that are not commanded anew for so long [s] of simulated time; 0: never.
 
-        It holds from the newest state on, for those that act as well.
+        It holds from the newest state on, for those that act as well. `limits` hold for what the
+        law of reels commands from then on.
         """
+        self._law.limits = limits or self._law.limits
         self._timeout_ns = round(timeout_s * 1e9)
         if self._commands.timeout_ns != self._timeout_ns:
             self._commands.settle(self.newest.time_ns)
@@ -244,7 +248,7 @@ class Simulation:
         place = {"index": self._trajectory.index, "base_ns": self._base_ns}
         place["since_ns"] = self._trajectory.since_ns
         checkpoint = self._trajectory.checkpoint_here()
-        kept = self._commands.arrays | {"due": self._watch.due}
+        kept = self._commands.arrays | {"due": self._watch.due} | self._law.arrays
         snapshot.write(file, self.setup.identity, place, checkpoint, kept)
 
     def restore(self, file: str) -> None:
@@ -262,16 +266,18 @@ class Simulation:
         )
         commands = self._new_table(self.setup)
         watch = FailureWatch(self.setup.system, self.setup.failures)
+        law = ReelLaw(self.setup)
         try:
             commands.arrays = kept
             watch.resume(kept["due"])
+            law.resume(kept, self._law.limits)
         except TssError as error:
             raise TssError(f"snapshot {file!r:.200} is damaged: {error}") from None
         time_ns = place["base_ns"] + place["index"] * self.setup.publish_period_s * 1e9
         if not 0 <= time_ns <= MAX_TIME_S * 1e9:
             raise TssError(f"snapshot {file!r:.200} is of {time_ns / 1e9:g} s; allowed: 0 to 2^31")
         start, since_ns = self.setup.start, place["since_ns"]
-        plan = _plan_of(self.setup, self._new_table(self.setup), 0, 0)
+        plan = plan_of(self.setup, self._new_table(self.setup), 0, 0)
         trajectory = Trajectory(self.setup, start, self._on_ready, since_ns, plan)
         trajectory.resume(checkpoint)
         try:
@@ -279,7 +285,7 @@ class Simulation:
         except TssError as error:
             trajectory.close()
             raise TssError(f"snapshot {file!r:.200} cannot be continued: {error}") from None
-        self._watch = watch
+        self._watch, self._law = watch, law
         self._continue(trajectory, commands, place["base_ns"], state)
 
     def close(self) -> None:
@@ -293,6 +299,7 @@ class Simulation:
         for failure in self._watch.timed():
             _note(table, failure._replace(time=base_ns + round(failure.time * 1e9)), base_ns)
         table.collect(base_ns)
+        self._law = ReelLaw(setup)
         self._begin(setup, setup.start, table, base_ns)
         self._look()
 
@@ -302,7 +309,7 @@ class Simulation:
         return commands
 
     def _begin(self, setup, state, commands, base_ns):
-        plan = _plan_of(setup, commands, base_ns, base_ns)
+        plan = plan_of(setup, commands, base_ns, base_ns)
         trajectory = Trajectory(setup, state, self._on_ready, base_ns, plan)
         self.setup = setup
         self._continue(trajectory, commands, base_ns, trajectory.first())
@@ -337,21 +344,23 @@ class Simulation:
             self._plan()
 
     def _look(self):
-        """Let fail what the newest state is the event for."""
-        if not self._watch.due.any():
+        """Let fail what the newest state is the event for, and let the law of reels see it."""
+        if not self._watch.due.any() and self._law.left == math.inf:
             return
-        newest = self.newest.alone
-        _, failures = self._watch.look(newest.tension_n, newest.taut)
+        newest, now_ns, failures = self.newest.alone, self.newest.time_ns, []
+        if self._watch.due.any():
+            _, failures = self._watch.look(newest.tension_n, newest.taut)
         for failure in failures:
-            place, now_ns = failure.place(self.setup.system), self.newest.time_ns
+            place = failure.place(self.setup.system)
             _note(self._commands, Happened(now_ns, place, failure.kind), now_ns)
-        if failures:
-            self._commands.collect(self.newest.time_ns)
+        if self._law.look(self._commands, newest) or failures:
+            self._commands.collect(now_ns)
             self._plan()
+        self._trajectory.until = self._trajectory.index + self._law.left
 
     def _plan(self):
         if self._commands:
-            plan = _plan_of(self.setup, self._commands, self.newest.time_ns, self._base_ns)
+            plan = plan_of(self.setup, self._commands, self.newest.time_ns, self._base_ns)
             self._trajectory.plan(plan)
 
     def _tell(self, change, anew=False):
@@ -365,6 +374,7 @@ class Simulation:
         end_s = min(self._turns * self.setup.turn_s or math.inf, MAX_TIME_S)
         duration_s = end_s - self._base_ns / 1e9
         self._trajectory.last = last_index(duration_s, self.setup.publish_period_s)
+        self._trajectory.until = self._trajectory.index + self._law.left
 
     def _time_ns(self, index):
         return self._base_ns + round(index * self.setup.publish_period_s * 1e9)
@@ -376,25 +386,3 @@ def _note(table, failure, now_ns):
         table.fail(failure, now_ns)
     elif not table.post(Command(failure.time, failure.place, CUT_FRAME)):
         raise TssError("too many commands are kept; a tether cannot be cut")
-
-
-def _edges(commands, from_ns):
-    """What acts from a simulation time [ns] on, and all changes to come."""
-    return [(from_ns, commands.at(from_ns)), *commands.edges(from_ns + 1)]
-
-
-def _plan_of(setup, commands, from_ns, base_ns):
-    """The same in times [s] of a trajectory that begins at a simulation time [ns]."""
-    edges = _edges(commands, from_ns)
-    return [(edge_s(setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
-
-
-def _counted_from(base_ns, commands):
-    """Commands for a clock that begins at a simulation time [ns]."""
-    if not base_ns or not commands.unreels:
-        return commands
-    reel = np.array(commands.reel)
-    moves = reel[:, 2:].any(axis=1)
-    # Exact as far as whole nanoseconds are: a clock that is set anew changes no motion.
-    reel[moves, 0] = (np.rint(reel[moves, 0] * 1e9) - base_ns) / 1e9
-    return commands._replace(reel=reel)

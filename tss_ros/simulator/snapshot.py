@@ -26,11 +26,12 @@ _COMMANDS = {
     "failures": ("failures", (4,), np.int64),
     "held": ("failures", (9,), float),
     "due": ("declared", (), bool),
-    "reel_heads": ("reel commands", (4,), np.int64),
+    "reel_heads": ("reel commands", (5,), np.int64),
     "reel_limits": ("reel commands", (3,), float),
     "reel_points": ("points", (3,), float),
     "reel_since_ns": ("reels", (), np.int64),
     "reel_cubic": ("reels", (4,), float),
+    "law_left": ("laws", (), np.int64),
 }
 #: What the entries of a snapshot may need besides their numbers [B].
 MORE_BYTES = 2**20
@@ -60,7 +61,7 @@ def write(
     checkpoint : Checkpoint
         Not later than that state.
     commands : dict of str to ndarray
-        `CommandTable.arrays`, and `due` of the watch for failures.
+        `CommandTable.arrays`, `due` of the watch for failures, and `law_left` of the law of reels.
 
     Raises
     ------

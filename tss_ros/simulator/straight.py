@@ -16,19 +16,28 @@ from tss_ros.bags.wrenches import read_commands
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
-from tss_ros.core.model.failures import Change, FailureWatch, Happened, with_failures
+from tss_ros.core.model.failures import (
+    CUT,
+    Change,
+    FailureWatch,
+    Happened,
+    held,
+    news_alone,
+    with_failures,
+)
 from tss_ros.messages.cdr import serialised
 from tss_ros.messages.steps import FRAME_ID, States, StepMessages, header, system_description
 from tss_ros.messages.topics import STATE_TOPICS, read_topics
 from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import RUN, TURNS, override
+from tss_ros.scenarios.parameters import REEL_LIMITS, RUN, TURNS, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import NS, news
+from tss_ros.simulator.reel_law import ReelLaw
 from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
-from tss_ros.simulator.trajectory import compute_states, edge_s
+from tss_ros.simulator.trajectory import compute_states, edge_s, edges_from
 
 #: Most states integrated and written in one go, and most of them times beads.
 CHUNK_STEPS, CHUNK_BEAD_STEPS = 1024, 16384
@@ -64,8 +73,9 @@ def simulate(
         Asked again and again whether to end.
     commands : sequence of (int, Commands) or Change, optional
         Simulation times [ns] at which what acts from outside changes, and what acts from then on,
-        as `bags.wrenches.read_commands` gives them: failures are among it, so that those of the
-        setup are not looked for. If it is not given, they are, and reels do what the setup says.
+        as `bags.wrenches.read_commands` gives them: failures and rates of the law of reels are
+        among it, so that neither those of the setup are looked for nor its law acts. If it is not
+        given, they are, and reels do what the setup says.
 
     Returns
     -------
@@ -118,7 +128,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             raise Cancelled(f"stopped at state {first}")
         before = make_checkpoint(propagator, first)
         try:
-            count = min(most, last + 1 - first)
+            count = min(most, last + 1 - first, story.law.left)
             states = compute_states(setup, propagator, first, count, cancelled)
         except IntegrationError:
             if most == 1:
@@ -134,6 +144,8 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
             propagator.command(story.plan)
             compute_states(setup, propagator, first, kept, cancelled)
             most = longest
+        if story.follow_law(states):
+            propagator.command(story.plan)
         for topic, time_ns, message, number in story.told(first, states):
             writer.write(channels[topic], message, time_ns, time.time_ns(), number)
         columns = {channels[name]: make.rows(name, first, states) for name in STATE_TOPICS}
@@ -157,11 +169,13 @@ class _Story:
     def __init__(self, setup, commands):
         self._setup = setup
         # What the setup itself has its reels do; after its beginning commands replace that.
-        own = [(0, setup.commands.at(0)), *setup.commands.edges(1)]
+        self._table, self.law = setup.commands, ReelLaw(setup, acts=commands is None)
+        own = edges_from(self._table, 0)
         self._given = own if commands is None else [own[0], *commands]
         self._watch = FailureWatch(setup.system, setup.failures if commands is None else ())
         self._happened = [h._replace(time=round(h.time * NS)) for h in self._watch.timed()]
-        self._before, self._numbers, self._told = None, dict.fromkeys((APPLIED, EVENTS), 0), 0
+        self._before, self._numbers, self._told_ns = None, dict.fromkeys((APPLIED, EVENTS), 0), -1
+        self._kept_from_ns = 0
 
     @property
     def _changes(self):
@@ -172,6 +186,8 @@ class _Story:
             changes = with_failures(system, edges, self._happened, per_s=NS)
         found = []
         for change in changes:
+            if change.time < self._kept_from_ns:
+                continue
             if found and found[-1].time == change.time:
                 found.pop()
             before = found[-1] if found else Change(0, Commands.none(system))
@@ -181,8 +197,9 @@ class _Story:
 
     @property
     def plan(self):
-        """For the integrator."""
-        return [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        """For the integrator, which needs to know no failures but what they make of commands."""
+        edges = [(edge_s(self._setup, c.time), c.commands) for c in self._changes]
+        return news_alone(Commands.none(self._setup.system), edges)
 
     def fail(self, states):
         """Let fail what these states show the events for; how many of them to keep, 0 for all."""
@@ -194,16 +211,44 @@ class _Story:
             self._happened.append(Happened(time_ns, place, failure.kind))
         return row + 1 if failures else 0
 
+    def follow_law(self, states):
+        """Let the law of reels see these states; whether it has commanded something."""
+        if not self.law.look(self._table, states):
+            return False
+        now_ns = int(states.time_ns[-1])
+        self._settle(now_ns)
+        self._table.collect(now_ns)
+        # Of what has been told only what still acts is kept.
+        told = [c for c in self._given if c[0] <= self._told_ns][-1:]
+        untold = [c for c in self._given if self._told_ns < c[0] < now_ns]
+        acting = told[0][1] if told else Commands.none(self._setup.system)
+        self._kept_from_ns = told[0][0] if told else self._kept_from_ns
+        later = untold + edges_from(self._table, now_ns)
+        self._given = told + news_alone(acting, later)
+        return True
+
+    def _settle(self, now_ns):
+        """Note what the actuators do that have failed by now."""
+        system, given = self._setup.system, [c[:2] for c in self._given]
+        changes = with_failures(system, given, self._happened, per_s=NS)
+        acting = {change.time: change.commands for change in changes}
+        self._happened = [
+            held(system, acting[h.time], h, NS) if h.kind != CUT and h.time <= now_ns else h
+            for h in self._happened
+        ]
+
     def told(self, first, states):
         """Messages of all that came to act before the last of these states, of number `first` on.
 
         Topic, simulation time [ns], the message and its number in its topic.
         """
-        system, changes = self._setup.system, self._changes
-        for change in changes[self._told :]:
+        system = self._setup.system
+        for change in self._changes:
+            if change.time <= self._told_ns:
+                continue
             if not change.time < states.time_ns[-1] and (change.time or first):
                 break
-            self._told += 1
+            self._told_ns = change.time
             # What acts from the beginning on is told with the first state.
             row = int(np.searchsorted(states.time_ns, change.time, side="right"))
             row = row if change.time else 0
@@ -278,7 +323,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     overrides : mapping
         Parameters that differ from the scenario's.
     run : mapping
-        A value of each of `parameters.RUN`.
+        A value of each of `parameters.RUN`, and of `REEL_LIMITS` that differ from their defaults.
 
     Returns
     -------
@@ -292,9 +337,11 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     loaded = scenario.load(scenario_name)
     system = loaded.build(overrides)
     given = {p.name: p.check(run[p.name]) for p in RUN}
+    given |= {p.name: p.check(run.get(p.name, p.default)) for p in REEL_LIMITS}
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
-    return Setup.of(said, system, ratio, loaded.start(system), **declared(loaded, system))
+    happens = declared(loaded, system, given["publish_period_s"])
+    return Setup.of(said, system, ratio, loaded.start(system), **happens)
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -310,7 +357,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR", help="the bag, to be made"
     )
-    for parameter in RUN:
+    for parameter in (*RUN, *REEL_LIMITS):
         needed = parameter is TURNS
         default = "" if needed else f" Default: {parameter.default:g}"
         parser.add_argument(
@@ -327,7 +374,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         " scenario declares are not looked for",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    for parameter in RUN:
+    for parameter in (*RUN, *REEL_LIMITS):
         try:
             parameter.check(getattr(options, parameter.name))
         except TssError as error:

@@ -23,6 +23,7 @@ from tss_ros.core.model.failures import news_alone
 from tss_ros.core.model.reel_plans import rests_over
 from tss_ros.messages.steps import States
 from tss_ros.simulator.checkpoint import Checkpoint, make_checkpoint, resume
+from tss_ros.simulator.commands import CommandTable
 from tss_ros.simulator.setup import Setup
 
 #: Most states integrated in one go, and most of them times beads.
@@ -81,6 +82,30 @@ def edge_s(setup: Setup, time_ns: int) -> float:
     return at_state if round(at_state * 1e9) == time_ns else time_ns / 1e9
 
 
+def edges_from(table: CommandTable, from_ns: int) -> list[tuple[int, Commands]]:
+    """What acts from a simulation time [ns] on, and all changes to come."""
+    return [(from_ns, table.at(from_ns)), *table.edges(from_ns + 1)]
+
+
+def plan_of(
+    setup: Setup, table: CommandTable, from_ns: int, base_ns: int
+) -> list[tuple[float, Commands]]:
+    """The same in times [s] of a trajectory that begins at a simulation time [ns], `base_ns`."""
+    edges = edges_from(table, from_ns)
+    return [(edge_s(setup, t - base_ns), _counted_from(base_ns, c)) for t, c in edges]
+
+
+def _counted_from(base_ns, commands):
+    """Commands for a clock that begins at a simulation time [ns]."""
+    if not base_ns or not commands.unreels:
+        return commands
+    reel = np.array(commands.reel)
+    moves = reel[:, 2:].any(axis=1)
+    # Exact as far as whole nanoseconds are: a clock that is set anew changes no motion.
+    reel[moves, 0] = (np.rint(reel[moves, 0] * 1e9) - base_ns) / 1e9
+    return commands._replace(reel=reel)
+
+
 def begun_at(system: System, time_s: float) -> System:
     """The system with the elements that its orbit has at a time, where it matters when one begins.
 
@@ -110,6 +135,15 @@ class Trajectory:
         Simulation time [ns] of index 0, for the axes of forces from outside.
     plan : list of (float, Commands)
         What acts from index 0 on, and when [s] after that it changes.
+
+    Attributes
+    ----------
+    index : int
+        Of the newest state taken.
+    last : int or inf
+        Index of the last state of all.
+    until : int or inf
+        Index of the last state to be integrated for now.
     """
 
     def __init__(
@@ -132,7 +166,7 @@ class Trajectory:
         self._before = self._after = make_checkpoint(self._propagator, 0)
         self.index = -1
         self.wall_s_per_step = math.nan
-        self.last = math.inf
+        self.last = self.until = math.inf
 
     @property
     def commands(self) -> Commands:
@@ -147,7 +181,7 @@ class Trajectory:
     @property
     def ready(self) -> bool:
         """Whether `take` returns at once."""
-        if not self._rows and self._future is None and self.index < self.last:
+        if not self._rows and self._future is None and self.index < self._end:
             self._request()
         return bool(self._rows) or (self._future is not None and self._future.done())
 
@@ -164,7 +198,7 @@ class Trajectory:
                 self._request()
             self._use(self._future.result())
             self._future = None
-            if self.index + len(self._rows) < self.last:
+            if self.index + len(self._rows) < self._end:
                 self._request()
         self.index += 1
         return self._rows.popleft()
@@ -219,6 +253,10 @@ class Trajectory:
         self._cancelled.set()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
+    @property
+    def _end(self):
+        return min(self.last, self.until)
+
     def _new_propagator(self):
         setup, since_s, (state, plan) = self._setup, self.since_ns / 1e9, self._start
         system = begun_at(setup.system, since_s)
@@ -248,7 +286,7 @@ class Trajectory:
 
     def _request(self):
         first = self.index + 1 + len(self._rows)
-        count = int(min(self._count, self.last + 1 - first))
+        count = int(min(self._count, self._end + 1 - first))
         self._future = self._pool.submit(self._integrate, first, count)
         self._future.add_done_callback(lambda _: self._on_ready())
 

@@ -131,7 +131,8 @@ class EnsembleQuestion:
             )
         if loaded.reels:
             raise TssError(
-                f"scenario {scenario_name!r} begins on reels; allowed: one with all tethers out"
+                f"scenario {scenario_name!r} has reels that move or are out in part; allowed: reels"
+                " at rest with all tethers out"
             )
         self.system = loaded.build(self.overrides)
         self._start = loaded.start(self.system)

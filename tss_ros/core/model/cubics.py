@@ -29,6 +29,8 @@ def cubic_crossings(cubic: Sequence[float], value: float) -> list[float]:
     a, *others = cubic
     if not any(others):
         return []
+    if not any(others[1:]):
+        return [(value - a) / others[0]]
     roots = np.polynomial.Polynomial([a - value, *others]).roots()
     real = np.abs(np.imag(roots)) <= 1e-9 * (1.0 + np.abs(roots))
     return sorted(float(time) for time in np.real(roots[real]))
