@@ -45,7 +45,8 @@ numpydoc_xref_param_type = False
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
-    "filename_pattern": r"\.py$",
+    # The others are nodes, which end when they are told to.
+    "filename_pattern": r"plot_\w+\.py$",
     "ignore_pattern": r"__init__\.py|conftest\.py",
     "backreferences_dir": "_generated/backreferences",
     "doc_module": ("tss_ros",),

@@ -7,9 +7,12 @@ motion relative to the ring that turns. Start it beside
 ``tss sim --ros-args -p scenario:=six_bead -p spin_rate_ratio:=-2.9 -p disturbance_m:=300.0``.
 """
 
+import contextlib
+
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from tss_interfaces.msg import BeadStates
 
@@ -45,4 +48,5 @@ class Damper(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(Damper())
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(Damper())

@@ -108,11 +108,18 @@ def test_wrong_parameters_end_a_node_with_one_line(start):
             assert all(part in line for part in expected), (line, expected)
 
 
-def test_missing_parameters_file_ends_a_node_with_one_line(start):
-    process = start("sim_node", "--params-file", "missing.yaml")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--params-file", "missing.yaml"), "missing.yaml"),
+        (("spin_rate_ratio:=-2.9",), "'spin_rate_ratio:=-2.9']; a parameter is given as -p NAME"),
+    ],
+)
+def test_wrong_arguments_of_ros_end_a_node_with_one_line(start, arguments, said):
+    process = start("sim_node", *arguments)
     assert process.wait(ros_harness.START_S) == 1
     (line,) = process.stderr.splitlines()
-    assert line.startswith("sim_node: ") and "missing.yaml" in line
+    assert line.startswith("sim_node: ") and said in line
 
 
 # --- requests

@@ -233,7 +233,7 @@ def test_failures_of_reels_survive_a_snapshot(tmp_path):
     assert again[-1].alone.rest_length_m[0].tolist() == [9_980.0, 10_000.0, 10_000.0]
 
 
-def test_declared_failures_of_reels_in_the_core_and_straight(tmp_path):
+def test_declared_failures_of_reels_in_the_core_and_straight(tmp_path, capfd):
     """The same motion of the simulator, the straight run and an integration that knew all."""
     reels = {"all": {"time_s": [0.0, 100.0], "length_m": [10_000.0, 9_900.0]}}
     failures = [
@@ -249,6 +249,17 @@ def test_declared_failures_of_reels_in_the_core_and_straight(tmp_path):
     assert straight.main([given.options["scenario"], *words]) == 0
     recorded = read_bag(tmp_path / "bag")
     np.testing.assert_array_equal(recorded.position_m, states[: len(recorded.position_m), 0])
+    again = [*words[:-1], str(tmp_path / "again"), "--commands", str(tmp_path / "bag")]
+    capfd.readouterr()
+    assert straight.main([given.options["scenario"], *again]) == 0
+    assert capfd.readouterr().err == ""
+    words = [*again[:-3], str(tmp_path / "other"), *again[-2:]]
+    words += ["--disturbance-m=1", "--override", "spin_rate_ratio=-2.8", "eccentricity=0.01"]
+    assert straight.main(["four_star", *words]) == 0
+    told = capfd.readouterr().err
+    for said in ("spin_rate_ratio -2.9, and this run has -2.8", "disturbance_m 5.0, and this run",
+                 "eccentricity 0.0, and this run has 0.01", "tether_name ('tether_1'"):
+        assert f"was flown with {said}" in told, told
     assert recorded.rests_m[-1].tolist() == [9_842.0, 9_969.0, 9_900.0]
     assert read_commands(tmp_path / "bag", SYSTEM)[-1].failed == changes[-1].failed
     plan = reel_plan(SYSTEM, dict.fromkeys(SYSTEM.tether_name, reel_profile([0, 100], [1e4, 9900])))

@@ -36,7 +36,13 @@ REQUESTS_QOS = QoSProfile(depth=1000)
 #: many answers go out at once, others so far [s] apart for each client that has to read them.
 ANSWERS_AT_ONCE, READING_S = 5, 0.001
 #: Errors that a user can put right; anything else is a mistake of ours and shows its traceback.
-USER_ERRORS = (TssError, OSError, ParameterException, rclpy_implementation.RCLError)
+USER_ERRORS = (
+    TssError,
+    OSError,
+    ParameterException,
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+)
 
 
 class Finished(Exception):
@@ -238,5 +244,7 @@ def _wake_on_signals(executor):
 def _print_error(name, error):
     """Say in one line what is wrong, without rcl's source positions, and return the exit status."""
     text = " ".join(str(error).split()).split(", at /")[0]
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        text = f"not known behind --ros-args: {text}; a parameter is given as -p NAME:=VALUE"
     print(f"{name}: {text.removeprefix('failed to initialize rcl: ')}", file=sys.stderr)
     return 1

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.bags.wrenches import read_commands
+from tss_ros.bags.wrenches import read_commands, unlike
 from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
@@ -292,7 +292,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         setup = make_setup(options)
-        commands = read_commands(options.commands, setup.system) if options.commands else None
+        commands = None
+        if options.commands:
+            commands = read_commands(options.commands, setup.system)
+            ratio = setup.spin_rate_ratio
+            for words in unlike(options.commands, setup.system, ratio, setup.options):
+                print(f"simulate: {options.commands} was flown with {words}", file=sys.stderr)
         writer = simulate(setup, options.turns, options.output, show, stopped.is_set, commands)
     except Cancelled:
         line.end()
