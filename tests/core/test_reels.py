@@ -201,7 +201,7 @@ def test_reels_that_cannot_be_are_refused(plan, words):
 def test_names_and_profiles_that_are_not_there_are_named():
     with pytest.raises(TssError, match="tether is 'tether_2'; allowed: tether_1"):
         Commands.of(PAIR, reel={"tether_2": (0.0, 1000.0)})
-    with pytest.raises(TssError, match="times_s must increase"):
+    with pytest.raises(TssError, match="time_s must increase"):
         reel_profile([1.0, 1.0], [10.0, 20.0])
     with pytest.raises(TssError, match="at least 0.1 m, got 0"):
         core.deployed_system(PAIR, 0.0)

@@ -51,7 +51,7 @@ def test_a_run_begins_at_the_steady_state_of_what_is_out(tmp_path):
     ("reels: [1, 2]", "reels must be a mapping of tethers, or all, to profiles, got"),
     ("reels: {all: {time_s: [0, 1]}}", "length_m"),
     ("reels: {all: {time_s: [0, 1], length_m: 5}}", "length_m must be a list of numbers, got 5"),
-    ("reels: {all: {time_s: [1, 1], length_m: [5, 6]}}", "times_s must increase"),
+    ("reels: {all: {time_s: [1, 1], length_m: [5, 6]}}", "time_s must increase"),
     ("reels: {all: {time_s: [-1, 1], length_m: [5, 6]}}", "time_s must be at least 0, got -1"),
     ("reels: {all: {time_s: [0, 1], length_m: [5]}}", "length_m must have as many values"),
     ("deployed_m: 7\nreels: {all: {time_s: [0, 1], length_m: [5, 6]}}",

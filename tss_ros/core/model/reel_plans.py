@@ -16,7 +16,7 @@ from tss_ros.core.model.system import System, numbers
 
 @checked
 def reel_profile(
-    times_s: Sequence[float],
+    time_s: Sequence[float],
     length_m: Sequence[float],
     rate_m_s: Sequence[float] | None = None,
 ) -> PPoly:
@@ -24,7 +24,7 @@ def reel_profile(
 
     Parameters
     ----------
-    times_s : sequence of float
+    time_s : sequence of float
         [s], increasing, two or more.
     length_m : sequence of float
         [m] at these times.
@@ -40,20 +40,20 @@ def reel_profile(
     TssError
         If there are too few points, or if they are not finite or times do not increase.
     """
-    given = {"times_s": times_s, "length_m": length_m}
+    given = {"time_s": time_s, "length_m": length_m}
     if rate_m_s is not None:
         given["rate_m_s"] = rate_m_s
     arrays = {name: numbers(name, values) for name, values in given.items()}
-    times = arrays["times_s"]
+    times = arrays["time_s"]
     for name, values in arrays.items():
         if values.ndim != 1 or values.size != times.size or values.size < 2:
             raise TssError(
-                f"{name} must have as many values as times_s, 2 or more, got shape {values.shape}"
+                f"{name} must have as many values as time_s, 2 or more, got shape {values.shape}"
             )
         if not np.isfinite(values).all():
             raise TssError(f"{name} must be finite, got {values!r:.80}")
     if not (np.diff(times) > 0.0).all():
-        raise TssError(f"times_s must increase, got {times!r:.80}")
+        raise TssError(f"time_s must increase, got {times!r:.80}")
     lengths = arrays["length_m"]
     if rate_m_s is not None:
         return CubicHermiteSpline(times, lengths, arrays["rate_m_s"])
