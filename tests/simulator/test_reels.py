@@ -15,7 +15,7 @@ from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tss_interfaces.msg import AppliedWrenches, TetherStates
-from tss_interfaces.srv import Disturb, FailActuator, RestoreSnapshot, SaveSnapshot
+from tss_interfaces.srv import CutTether, Disturb, FailActuator, RestoreSnapshot, SaveSnapshot
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
@@ -162,6 +162,12 @@ def test_a_reel_fails_and_is_repaired(winch):
     winch.reel("tether_1", velocity=[-1.0])
     assert winch.rests(2) == [10_002.0, 10_004.0]
     assert list(winch.applied[-1].stuck_actuator) == ["tether_1"]
+    winch.sim.do(CutTether, tether="tether_3")
+    winch.rests(1)
+    winch.reel("tether_3", velocity=[-0.1])
+    winch.sim.process.wait_for_line("tether_3: command refused: tether_3 is cut; allowed")
+    winch.rests(1)
+    assert "tether_3" not in winch.applied[-1].reel_tether
     told = [event.text.split(" at ")[0] for event in winch.sim.events if event.kind == "fail"]
     assert told == ["tether_1: dead", "tether_1: healthy again", "tether_1: stuck"]
 

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from tss_ros.core import Commands, System, TssError
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
-from tss_ros.core.model.reels import reel_index, reel_names
+from tss_ros.core.model.reels import reel_index, reel_names, reels
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator.reel_commands import (
     CUBICS,
@@ -177,7 +177,8 @@ class ReelTopics:
         warn: Callable[[str, str], None],
     ) -> None:
         self._simulation, self._options = simulation, options
-        self._read_time, self._warn, self._moving = read_time, warn, None
+        self._read_time, self._warn = read_time, warn
+        self._moving = self._cut = None  # as what acts has been told
         self._subscriptions = []
         for name, kind, read in (
             (TETHER, JointState, read_tethers),
@@ -206,7 +207,7 @@ class ReelTopics:
             if stopped and not moving[i] and length_m in (limits.shortest_m, limits.longest_m):
                 at = "reel_shortest_m" if length_m == limits.shortest_m else "reel_longest_m"
                 self._warn(name, f"its reel stopped at {at}, {length_m:g} m")
-        self._moving = moving
+        self._moving, self._cut = moving, commands.cut
 
     def _take(self, topic: str, message: Any, read: Callable[..., Sequence[ReelCommand]]) -> None:
         simulation = self._simulation
@@ -219,6 +220,7 @@ class ReelTopics:
                 raise TssError(f"{SHAPE_KEEPING.name} keeps one shape; allowed with reels: 0")
             commands = read(message, system, time_ns, self._options())
             for command in commands:
+                self._check_whole(system, command.place)
                 self._check_beginning(command, max(time_ns, simulation.newest.time_ns), system)
             for command in commands:
                 begun = max(time_ns, simulation.newest.time_ns)
@@ -229,6 +231,12 @@ class ReelTopics:
                     self._warn(reel_names(system)[command.place], words)
         except TssError as error:
             self._warn(about, f"command refused: {error}")
+
+    def _check_whole(self, system, place):
+        """Refuse a tether of which nothing pulls any more."""
+        reel, cut = reels(system)[place], self._cut
+        if cut is not None and cut.size == system.m and cut[[*reel.segments]].all():
+            raise TssError(f"{reel.name} is cut; allowed: tethers that still pull")
 
     def _check_beginning(self, command, begun_ns, system):
         """Refuse a profile whose point at time 0 is not what is out then."""
