@@ -46,10 +46,11 @@ def parts(recording: Recording) -> Iterator[str]:
 def _motion(r):
     turn = turn_in_words(r.spin_rate_ratio)
     label = counted(turn)
-    shape, drift = shape_in_words(r.turns, r.deviation, r.deviation_from_centre, turn)
+    from_centre = r.deviation_from_centre
+    shape, drift = shape_in_words(r.turns, r.deviation, from_centre, turn, r.rests_m)
     yield html.heading("Shape")
     for name, title, values in (
-        ("shape", shape, r.deviation_from_centre), ("drift", drift, r.deviation),
+        ("shape", shape, from_centre), ("drift", drift, r.deviation),
     ):  # fmt: skip
         where = "centre of mass" if name == "shape" else "frame's origin, Eq. (53)"
         drawn = html.figure(title, label, f"deviation from the {where} [%]")

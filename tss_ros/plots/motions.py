@@ -27,6 +27,8 @@ SETTLED = 1 / 3
 #: Tensions above `SPIKE` times what 95 % of them stay below are cut, if the largest is `FAR` times
 #: that limit: else they would press all others into a line.
 SPIKE, FAR = 3.0, 2.0
+#: Reels that change no rest length by more than this share of it leave the shape what it was.
+REELED = 0.01
 WITH_DRIFT = "With the drift of the whole formation"
 #: Turns at each end of a long run of which the paths are drawn in full.
 SHOWN_TURNS = 1.0
@@ -167,6 +169,7 @@ def deviation(
     from_centre_of_mass: ArrayLike | None = None,
     law: str = "",
     turn: str = "turn",
+    rests_m: ArrayLike | None = None,
 ) -> Figure:
     """Relative deviation of the beads' distances from their undisturbed values against turns.
 
@@ -183,16 +186,18 @@ def deviation(
     law : str
     turn : str
         What is counted: "turn", or "orbit" of a formation that hangs. So in all figures here.
+    rests_m : array (k, m), optional
+        Rest lengths of the tethers [m], 0 on a reel or cut; they stay if not given.
 
     Returns
     -------
     matplotlib.figure.Figure
         One axes for each of the two measures given, ordinates in per cent, the shape's first.
-        Titles say whether the shape settled, held or was lost.
+        Titles say whether the shape settled, held or was lost, or that reels moved it.
     """
     panels = [("", "from the frame's origin (Eq. 53) [%]", deviation)]
     if from_centre_of_mass is not None:
-        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass, turn)
+        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass, turn, rests_m)
         panels = [
             (shape, "from the centre of mass [%]", from_centre_of_mass),
             (drift, *panels[0][1:]),
@@ -219,6 +224,7 @@ def shape_in_words(
     from_origin: ArrayLike,
     from_centre_of_mass: ArrayLike,
     turn: str = "turn",
+    rests_m: ArrayLike | None = None,
 ) -> tuple[str, str]:
     """What became of the shape, and what the deviation from the frame's origin is.
 
@@ -228,11 +234,14 @@ def shape_in_words(
     from_origin, from_centre_of_mass : array (k, n)
         Eq. 53 [-].
     turn : str
+    rests_m : array (k, m), optional
 
     Returns
     -------
     tuple of str, str
     """
+    if reels := reels_in_words(from_centre_of_mass, rests_m):
+        return reels, WITH_DRIFT
     turns = np.asarray(turns)
     size = np.nanmax(np.abs(from_centre_of_mass), axis=1, initial=0.0)
     worst, late = float(np.max(size)), float(np.max(size[turns >= turns[-1] - 1.0]))
@@ -250,6 +259,36 @@ def shape_in_words(
         f"{WITH_DRIFT} along its orbit, up to {100 * all_in_all:.2g} %:"
         " harmless, the shape does not feel it"
     )
+
+
+def reels_in_words(from_centre_of_mass: ArrayLike, rests_m: ArrayLike | None) -> str:
+    """What reels do to the radii of the beads; "" where no rest length changes by 1 %.
+
+    Parameters
+    ----------
+    from_centre_of_mass : array (k, n)
+        Eq. 53 [-].
+    rests_m : array (k, m) or None
+        Rest lengths [m], 0 on a reel or cut.
+
+    Returns
+    -------
+    str
+    """
+    if rests_m is None:
+        return ""
+    rests_m = np.asarray(rests_m, dtype=float)
+    out = rests_m > 0.0
+    longest = np.max(np.where(out, rests_m, 0.0), axis=0)
+    shortest = np.min(np.where(out, rests_m, np.inf), axis=0)
+    # What was cut never comes back.
+    leave = (out[1:] & (rests_m[:-1] == 0.0)).any(axis=0)
+    if not (leave | (shortest < (1.0 - REELED) * longest)).any():
+        return ""
+    radius = 1.0 + np.asarray(from_centre_of_mass)
+    least, most = float(np.nanmin(radius)), float(np.nanmax(radius))
+    words = f"up to {most:.3g}" if most * least > 1.0 else f"down to {least:.3g}"
+    return f"Reels move: radii are {words} times those at the start"
 
 
 def tethers(
