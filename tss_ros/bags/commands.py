@@ -25,7 +25,7 @@ from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.core.trajectory import FIGURES, TABLES
-from tss_ros.plots.motions import reels_in_words
+from tss_ros.plots.shape_words import reels_in_words
 from tss_ros.scenarios.scenario import read_text
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.pages import html
 from tss_ros.plots.charts import broken, verdicts_in_words
-from tss_ros.plots.motions import shape_in_words, tension_limit
+from tss_ros.plots.motions import tension_limit
+from tss_ros.plots.shape_words import shape_in_words
 from tss_ros.plots.views import about_normal, counted, is_narrow, views, width_limits
 
 #: Width of the names in `describe`.
