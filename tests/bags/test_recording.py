@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from small_bag import TOPICS, Bag
 from std_msgs.msg import Header
-from tss_interfaces.msg import BeadStates, TetherStates
+from tss_interfaces.msg import AppliedWrenches, BeadStates, TetherStates
 
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.records import BagError
@@ -142,6 +142,29 @@ def test_a_simulation_that_began_anew_is_read_run_by_run(bag):
         np.testing.assert_array_equal(recording.position_m.reshape(len(written), -1), sent)
     with pytest.raises(TssError, match="run is 3; allowed for .* 1 to 2"):
         read_bag(bag.writer.directory, run=3)
+
+
+def test_events_and_changes_are_those_of_the_run(tmp_path):
+    """A simulator that is reset, and one that is started anew and counts from 0 again."""
+
+    class Told(Bag):
+        topics = (*Bag.topics, "simulation_events", "applied_wrenches")
+
+    bag = Told(tmp_path / "bag")
+    runs = (0, "fail", (0, 1)), (1, "reset", (2, 3)), (0, "cut", (0, 1))
+    for number, (run, kind, steps) in enumerate(runs):
+        bag.describe(-2.0 - number, run=run, first_step=steps[0])
+        if run == 0:
+            bag.write("applied_wrenches", AppliedWrenches(run=run), 0)
+        bag.step(steps[0])
+        event = simulation_event(0, steps[1], run, kind, f"{kind} it", "orbit")
+        bag.write("simulation_events", event, 0)
+        bag.write("applied_wrenches", AppliedWrenches(run=run, step=steps[1]), 0)
+        bag.step(steps[1])
+    bag.writer.close()
+    told = [read_bag(bag.writer.directory, run) for run in (1, 2, 3)]
+    assert [r.events for r in told] == [((k, f"{k} it"),) for k in ("fail", "reset", "cut")]
+    assert [r.changes for r in told] == [2, 1, 2]
 
 
 def test_states_that_share_no_step_are_refused(bag):

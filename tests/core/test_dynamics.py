@@ -26,6 +26,7 @@ from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion import integrate
 from tss_ros.core.motion.propagator import Integrator
+from tss_ros.scenarios import scenario
 
 
 def kernel_acceleration(system, position, velocity, spin=0.0, time=0.0):
@@ -308,6 +309,32 @@ def test_disturbance_is_seeded_and_of_the_size_asked_for():
     assert np.linalg.norm(a.position_m - state.position_m) == pytest.approx(3.0)
     radius = np.linalg.norm(state.position_m, axis=1)
     np.testing.assert_allclose(deviation(state.position_m * 1.01, radius), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("hub_and_spoke", ["hub"]),
+        ("double_pyramid", ["apex_up", "apex_down"]),
+        ("vertical_chain_3", ["satellite_2"]),
+        ("six_bead", []),
+    ],
+)
+def test_beads_near_the_centre_are_compared_with_the_largest_radius(name, near):
+    formation = scenario.load(name)
+    system = formation.build()
+    place = initial_state(system, formation.spin_rate_ratio).position_m
+    radius = np.linalg.norm(place, axis=1)
+    is_near = np.isin(system.bead_name, near)
+    with np.errstate(all="raise"):
+        np.testing.assert_allclose(deviation(place, radius), 0.0, atol=1e-14)
+        moved = deviation(np.stack([1.5 * place, -place]), radius)
+        away = deviation(place + 0.02 * radius.max() * np.eye(3)[2], radius)
+    np.testing.assert_array_equal(
+        moved[0, ~is_near], np.linalg.norm(1.5 * place[~is_near], axis=1) / radius[~is_near] - 1.0
+    )
+    np.testing.assert_allclose(moved[0, is_near], 0.5 * radius[is_near] / radius.max(), atol=1e-12)
+    np.testing.assert_allclose(away[is_near], 0.02, atol=2e-3)
 
 
 @pytest.mark.parametrize(

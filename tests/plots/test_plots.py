@@ -173,6 +173,24 @@ def test_deviation_says_first_what_became_of_the_shape(growth, size, words):
     assert ("harmless" in below.get_title(loc="left")) == (words != "lost")
 
 
+@pytest.mark.parametrize(
+    ("rests_m", "radius", "words"),
+    [
+        ([100.0, 9e3, 1e4], [1.0, 90.0, 100.0], "Reels move: radii are up to 100 times those at"),
+        ([1e4, 5e3, 100.0], [1.0, 0.5, 0.01], "Reels move: radii are down to 0.01 times those at"),
+        ([0.0, 0.0, 1e4], [1.0, 1.0, 3.0], "Reels move: radii are up to 3 times those at"),
+        ([1e4, 9.95e3, 1e4], [1.0, 1.0, 3.0], "The shape is lost: it deviates by up to 200%"),
+        ([1e4, 0.0, 0.0], [1.0, 1.0, 3.0], "The shape is lost"),
+        ([1e4, np.nan, 1e4], [1.0, 1.0, 3.0], "The shape is lost"),
+    ],
+)
+def test_deviation_says_when_reels_move_and_takes_no_cut_for_that(rests_m, radius, words):
+    moved, rests_m = np.array(radius)[:, None] - 1.0, np.array(rests_m)[:, None]
+    rests_m = np.hstack([rests_m, np.full_like(rests_m, 1e4)])
+    above, _ = plots.deviation([0, 1, 2], moved, ["a"], moved, rests_m=rests_m).axes
+    assert above.get_title(loc="left").startswith(words)
+
+
 def test_paths_of_many_turns_are_drawn_in_full_at_both_ends_only():
     position_m, turns = spinning_positions(401), np.linspace(0, 8, 401)
     figure = plots.trajectories(position_m, ENDS, NAMES, IS_SATELLITE, "", turns)

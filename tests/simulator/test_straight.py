@@ -12,6 +12,7 @@ import yaml
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message
 
+from tss_ros.bags import commands
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.verify import verify
 from tss_ros.bags.wrenches import read_commands
@@ -21,6 +22,7 @@ from tss_ros.ros.topics import message_class
 from tss_ros.simulator import straight
 
 RUN = {"turns": 0.5, "disturbance_m": 10.0, "disturbance_seed": 3, "publish_period_s": 2.0}
+REELS = {"all": {"time_s": [0.0, 500.0], "length_m": [1000.0, 1200.0]}}
 WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in RUN.items()]
 
 
@@ -156,3 +158,48 @@ def test_an_event_comes_long_after_a_failure_that_changes_no_force(tmp_path, mon
     dead, cut = read_commands(tmp_path / "bag", setup.system)
     assert dead.time == 13 * 10**9 and not dead.commands.cut.any()
     assert cut.time > 400 * 10**9 and cut.commands.cut.tolist() == [True, False, False]
+
+
+def test_a_summary_tells_what_failed_and_how_often_what_acts_changed(tmp_path, capsys):
+    content = {"formation": "ring", "satellites": 6, "spin_rate_ratio": -2.9, "failures": []}
+    for k in range(1, 7):
+        content["failures"].append({"at_s": 2.0 * k, "dead": f"satellite_{k}"})
+        content["failures"].append({"at_s": 2.0 * k + 1.0, "cut": f"tether_{k}"})
+    (tmp_path / "fails.yaml").write_text(yaml.safe_dump(content))
+    words = [str(tmp_path / "fails.yaml"), "--turns", "0.01", "--output", str(tmp_path / "bag")]
+    assert straight.main(words) == 0 and commands.summary([str(tmp_path / "bag")]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("event")]
+    assert len(lines) == 11 and lines[-1].split(maxsplit=1)[1] == "... 2 more"
+    assert lines[0].split(maxsplit=1)[1] == "fail: satellite_1: dead at 2.000000000 s"
+    assert lines[1].split(maxsplit=1)[1] == "cut: tether_1: cut at 3.000000000 s"
+    told = commands.describe(read_bag(tmp_path / "bag"))
+    assert "what acts from outside changed 12 times" in told
+
+
+@pytest.mark.parametrize(
+    ("content", "turns", "line"),
+    [
+        ({"deployed_m": 1e3, "reels": REELS}, 0.2, "shape         Reels move: radii are up to 1.2"),
+        ({}, 0.01, "deviation     at most "),
+        ({}, 0.01, "energy        23578.1 to "),
+        (
+            {"eccentricity": 0.1},
+            0.01,
+            "energy        none is conserved: the orbit is an ellipse of eccentricity 0.1,",
+        ),
+        (
+            {"perturbations": ["j2"], "inclination_deg": 50.0},
+            0.01,
+            "energy        none is conserved: j2 acts on an orbit that is inclined by 50 degrees,",
+        ),
+    ],
+)
+def test_a_summary_says_what_is_true_of_reels_and_of_energy(tmp_path, content, turns, line):
+    content = {"formation": "ring", "satellites": 3, "spin_rate_ratio": -2.5, **content}
+    (tmp_path / "ring.yaml").write_text(yaml.safe_dump(content))
+    words = [str(tmp_path / "ring.yaml"), "--turns", str(turns)]
+    assert straight.main([*words, "--output", str(tmp_path / "bag")]) == 0
+    told = commands.describe(read_bag(tmp_path / "bag")).splitlines()
+    assert [said for said in told if said.startswith(line)], told
+    shapes = [said for said in told if said.startswith(("shape", "deviation"))]
+    assert len(shapes) == 1 and not [said for said in told if "nan" in said]

@@ -20,14 +20,19 @@ from tss_ros.core import TssError, in_words
 from tss_ros.core.model.feedback import acting_thrusts
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
 from tss_ros.core.model.laws.orbit import ELEMENTS
+from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
 from tss_ros.core.trajectory import FIGURES, TABLES
+from tss_ros.plots.shape_words import reels_in_words
 from tss_ros.scenarios.scenario import read_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+#: Most events of a run that are told.
+MOST_EVENTS = 10
 
 
 def summary(argv: Sequence[str] | None = None) -> int:
@@ -85,6 +90,12 @@ def describe(recording: Recording) -> str:
         )
     if finite.any():
         lines += _of_motion(r.only(finite))
+    lines += [f"event         {kind}: {text}" for kind, text in r.events[:MOST_EVENTS]]
+    if (others := len(r.events) - MOST_EVENTS) > 0:
+        lines.append(f"events        ... {others} more")
+    if r.changes:
+        times = "once" if r.changes == 1 else f"{r.changes} times"
+        lines.append(f"commands      what acts from outside changed {times}")
     for result in r.stability:
         verdict = result.verdict or result.message
         decided = (result.deciding_family, result.deciding_modulus, math.nan)
@@ -129,14 +140,22 @@ def _of_motion(r):
     from_centre = np.abs(r.deviation_from_centre).max(axis=1)
     worst = np.unravel_index(np.abs(r.deviation).argmax(), r.deviation.shape)
     energy, centre_m = r.energy_j, r.centre_of_mass_m
-    return [
+    size = (
         f"deviation     at most {np.abs(r.deviation).max():.3g} ({r.bead_name[worst[1]]}, {turn} "
         f"{turns[worst[0]]:.2f}); from the centre of mass {from_centre.max():.3g}, "
-        f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last {turn}",
+        f"{from_centre[turns >= turns[-1] - 1].max():.3g} in the last {turn}"
+    )
+    if reels := reels_in_words(r.deviation_from_centre, r.rests_m):
+        size = f"shape         {reels}"
+    conserved = f"{energy[0]:.6g} to {energy[-1]:.6g} J"
+    if reason := why_not_autonomous(r.system):
+        conserved = f"none is conserved: {reason}, so that forces in the orbit frame depend on time"
+    return [
+        size,
         f"tethers       {r.length_m.min():.2f} to {r.length_m.max():.2f} m, "
         f"{r.tension_n.min():.3g} to {r.tension_n.max():.3g} N; slack in "
         f"{slack.any(axis=1).mean():.1%} of the steps",
-        f"energy        {energy[0]:.6g} to {energy[-1]:.6g} J",
+        f"energy        {conserved}",
         f"mass centre   moved by at most {np.ptp(centre_m, axis=0).max():.3g} m along an axis",
     ]
 

@@ -26,6 +26,8 @@ TOPICS = {
     "BeadStates": "bead_states",
     "TetherStates": "tether_states",
     "FloquetResult": "stability_results",
+    "SimulationEvent": "simulation_events",
+    "AppliedWrenches": "applied_wrenches",
 }
 #: Numbers that states have.
 _FIELDS = {
@@ -53,6 +55,10 @@ class Simulator:
         a run.
     descriptions : list of tuple of int and message
         The messages SystemDescription, and how many bead states were before each of them.
+    events : list of tuple of int and message
+        The messages SimulationEvent, and how many bead states were before each of them.
+    changes : list of int
+        How many bead states were before each of the messages AppliedWrenches.
     bead_count : int
         Bead states so far.
     is_known : bool
@@ -67,6 +73,8 @@ class Simulator:
     prefix: str
     blocks: dict[str, list] = field(default_factory=lambda: {name: [] for name in STATES})
     descriptions: list = field(default_factory=list)
+    events: list = field(default_factory=list)
+    changes: list = field(default_factory=list)
     bead_count: int = 0
     is_known: bool = True
     dropped: int = 0
@@ -203,16 +211,20 @@ class BagContent:
         for i in order:
             kind, prefix, schema = wanted[i]
             simulator, places = self._simulator(prefix), present[i]
+            beads = (present[b] for b in present if wanted[b][:2] == ("BeadStates", prefix))
+            beads = np.searchsorted(next(beads, ()), places) + before.get(prefix, 0)
             if kind == "FloquetResult":
                 self.results += [decoded(schema, batch.payload(k)) for k in places]
             elif kind == "SystemDescription":
-                beads = [b for b in present if wanted[b][:2] == ("BeadStates", prefix)]
-                beads = present[beads[0]] if beads else np.empty(0, int)
-                for k in places:
-                    count = before.get(prefix, 0) + int(np.searchsorted(beads, k))
+                for k, count in zip(places, beads.tolist()):
                     data = batch.payload(k)
                     place = (*batch.heads[k].tolist()[3:], data)
                     simulator.describe(count, place, decoded(schema, data))
+            elif kind == "SimulationEvent":
+                messages = (decoded(schema, batch.payload(k)) for k in places)
+                simulator.events += zip(beads.tolist(), messages)
+            elif kind == "AppliedWrenches":
+                simulator.changes += beads.tolist()
             else:
                 if not simulator.is_known:
                     places = places[places > self._described(present, wanted, prefix)]
@@ -301,19 +313,6 @@ def times_ns(numbers: np.ndarray) -> np.ndarray:
     """Simulation times [ns] of messages with a header."""
     seconds, nanoseconds = (numbers[name] for name in STAMP)
     return seconds.astype(np.int64) * 10**9 + nanoseconds
-
-
-def description_of(
-    bag: BagContent, simulator: Simulator, first_bead: int, number: int, runs: int
-) -> Any:
-    """The description of a run: the newest one before its first bead state."""
-    descriptions = simulator.descriptions
-    if not descriptions:
-        raise BagError(f"{bag.shown!r} holds no message of type SystemDescription")
-    if len(descriptions) == runs:
-        return descriptions[number - 1][1]
-    earlier = [message for before, message in descriptions if before <= first_bead]
-    return earlier[-1] if earlier else descriptions[0][1]
 
 
 def _wanted(file: McapFile) -> dict[int, tuple[str, str, Schema]]:

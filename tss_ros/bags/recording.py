@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tss_ros.bags.older import UNSAID, completed, completed_rests
-from tss_ros.bags.reader import STAMP, STATES, BagContent, description_of, runs_of, times_ns
+from tss_ros.bags.reader import STAMP, STATES, BagContent, runs_of, times_ns
 from tss_ros.bags.records import DAMAGE, BagError
 from tss_ros.core import System, TssError
 from tss_ros.core.model.system import ORBIT_NORMAL
@@ -145,6 +145,10 @@ class Recording(SampledMotion, Description):
         Messages that the recorder, or `recover`, knew to be lost; None if the bag does not say.
     prefix : str
         What the names of the simulator's topics begin with, mostly its namespace.
+    events : tuple of tuple of str
+        Kind and text of each SimulationEvent of the run: failures, cuts, disturbances.
+    changes : int
+        How often what acts from outside changed: messages AppliedWrenches of the run.
     damage : tuple of str
         What of the bag is not intact, and so not here: a line each.
     """
@@ -164,6 +168,8 @@ class Recording(SampledMotion, Description):
     stability: tuple = ()
     lost: int | None = None
     prefix: str = "/"
+    events: tuple = ()
+    changes: int = 0
     damage: tuple = ()
 
     @cached_property
@@ -282,10 +288,42 @@ def _read_run(bag, run):
         raise BagError(f"run is {run}; allowed for {bag.shown!r}: 1 to {len(found)}")
     number = run or len(found)
     simulator, within, count, first_bead, beads, tethers = found[number - 1]
-    described = description_of(bag, simulator, first_bead, within, count)
+    described = _description_of(bag, simulator, first_bead, within, count)
     if not bag.is_whole:
         _check_times(bag, described, beads)
-    return _recording(bag, (number, len(found), simulator.prefix), described, beads, tethers)
+    last_bead = first_bead + len(beads)
+    run = getattr(described, "run", 0)
+    place = {
+        "run": number,
+        "runs": len(found),
+        "prefix": simulator.prefix,
+        "events": _events(simulator, first_bead, last_bead, run),
+        "changes": sum(first_bead <= before < last_bead for before in simulator.changes),
+    }
+    return _recording(bag, place, described, beads, tethers)
+
+
+def _events(simulator, first_bead, last_bead, run):
+    """Kind and text of what was done to a run; its last states may come before what they show."""
+    try:
+        return tuple(
+            (str(event.kind), str(event.text))
+            for before, event in simulator.events
+            if event.run == run and first_bead <= before <= last_bead
+        )
+    except AttributeError as error:
+        raise BagError(f"SimulationEvent is none: {error}") from error
+
+
+def _description_of(bag, simulator, first_bead, number, runs):
+    """The description of a run: the newest one before its first bead state."""
+    descriptions = simulator.descriptions
+    if not descriptions:
+        raise BagError(f"{bag.shown!r} holds no message of type SystemDescription")
+    if len(descriptions) == runs:
+        return descriptions[number - 1][1]
+    earlier = [message for before, message in descriptions if before <= first_bead]
+    return earlier[-1] if earlier else descriptions[0][1]
 
 
 def _check_runs(bag, simulator, beads, tethers):
@@ -331,7 +369,6 @@ def _recording(bag, place, description, beads, tethers):
 
     if (times_ns(beads)[of_beads] != times_ns(tethers)[of_tethers]).any():
         raise BagError(f"{bag.shown!r}: BeadStates and TetherStates of a step differ in time")
-    number, count, prefix = place
     try:
         names = ("rest_length_m", "rest_rate_m_s")
         said = set(names) <= set(tethers.dtype.names)
@@ -349,12 +386,10 @@ def _recording(bag, place, description, beads, tethers):
             taut=column("tethers", "taut", -1).astype(bool),
             rests_m=rests[0],
             rest_rates_m_s=rests[1],
-            run=number,
-            runs=count,
             stability=tuple(map(completed, bag.results)),
             lost=bag.lost,
-            prefix=prefix,
             damage=tuple(map(str, bag.damage)),
+            **place,
         )
         recording.check()
     except BagError:

@@ -187,9 +187,8 @@ class SampledMotion(Presented):
             return plots.tethers(turns, self.length_m, self.tension_n, of.tether_name, law, turn)
         if figure == "balance":
             return plots.balance(turns, self.energy_j, self.centre_of_mass_m, law, turn)
-        return plots.deviation(
-            turns, self.deviation, of.bead_name, self.deviation_from_centre, law, turn
-        )
+        from_centre, rests_m = self.deviation_from_centre, self.rests_m
+        return plots.deviation(turns, self.deviation, of.bead_name, from_centre, law, turn, rests_m)
 
     def _headline(self):
         described, turn = self._described, turn_in_words(self.spin_rate_ratio)

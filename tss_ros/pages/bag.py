@@ -12,7 +12,8 @@ from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.pages import html
 from tss_ros.plots.charts import broken, verdicts_in_words
-from tss_ros.plots.motions import shape_in_words, tension_limit
+from tss_ros.plots.motions import tension_limit
+from tss_ros.plots.shape_words import shape_in_words
 from tss_ros.plots.views import about_normal, counted, is_narrow, views, width_limits
 
 #: Width of the names in `describe`.
@@ -46,10 +47,11 @@ def parts(recording: Recording) -> Iterator[str]:
 def _motion(r):
     turn = turn_in_words(r.spin_rate_ratio)
     label = counted(turn)
-    shape, drift = shape_in_words(r.turns, r.deviation, r.deviation_from_centre, turn)
+    from_centre = r.deviation_from_centre
+    shape, drift = shape_in_words(r.turns, r.deviation, from_centre, turn, r.rests_m)
     yield html.heading("Shape")
     for name, title, values in (
-        ("shape", shape, r.deviation_from_centre), ("drift", drift, r.deviation),
+        ("shape", shape, from_centre), ("drift", drift, r.deviation),
     ):  # fmt: skip
         where = "centre of mass" if name == "shape" else "frame's origin, Eq. (53)"
         drawn = html.figure(title, label, f"deviation from the {where} [%]")

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
-from tss_ros.core.stability.confirmation import LOST
+from tss_ros.plots.shape_words import shape_in_words
 from tss_ros.plots.style import (
     DPI,
     INK,
@@ -22,12 +22,9 @@ from tss_ros.plots.style import (
 )
 from tss_ros.plots.views import about_normal, counted, is_narrow, views, width_limits
 
-#: A shape that ends with this share of its largest deviation has settled.
-SETTLED = 1 / 3
 #: Tensions above `SPIKE` times what 95 % of them stay below are cut, if the largest is `FAR` times
 #: that limit: else they would press all others into a line.
 SPIKE, FAR = 3.0, 2.0
-WITH_DRIFT = "With the drift of the whole formation"
 #: Turns at each end of a long run of which the paths are drawn in full.
 SHOWN_TURNS = 1.0
 
@@ -167,6 +164,7 @@ def deviation(
     from_centre_of_mass: ArrayLike | None = None,
     law: str = "",
     turn: str = "turn",
+    rests_m: ArrayLike | None = None,
 ) -> Figure:
     """Relative deviation of the beads' distances from their undisturbed values against turns.
 
@@ -183,16 +181,18 @@ def deviation(
     law : str
     turn : str
         What is counted: "turn", or "orbit" of a formation that hangs. So in all figures here.
+    rests_m : array (k, m), optional
+        Rest lengths of the tethers [m], 0 on a reel or cut; they stay if not given.
 
     Returns
     -------
     matplotlib.figure.Figure
         One axes for each of the two measures given, ordinates in per cent, the shape's first.
-        Titles say whether the shape settled, held or was lost.
+        Titles say whether the shape settled, held or was lost, or that reels moved it.
     """
     panels = [("", "from the frame's origin (Eq. 53) [%]", deviation)]
     if from_centre_of_mass is not None:
-        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass, turn)
+        shape, drift = shape_in_words(turns, deviation, from_centre_of_mass, turn, rests_m)
         panels = [
             (shape, "from the centre of mass [%]", from_centre_of_mass),
             (drift, *panels[0][1:]),
@@ -212,44 +212,6 @@ def deviation(
     legend_beside(figure, rows[0])
     state_law(figure, law)
     return figure
-
-
-def shape_in_words(
-    turns: ArrayLike,
-    from_origin: ArrayLike,
-    from_centre_of_mass: ArrayLike,
-    turn: str = "turn",
-) -> tuple[str, str]:
-    """What became of the shape, and what the deviation from the frame's origin is.
-
-    Parameters
-    ----------
-    turns : array (k,)
-    from_origin, from_centre_of_mass : array (k, n)
-        Eq. 53 [-].
-    turn : str
-
-    Returns
-    -------
-    tuple of str, str
-    """
-    turns = np.asarray(turns)
-    size = np.nanmax(np.abs(from_centre_of_mass), axis=1, initial=0.0)
-    worst, late = float(np.max(size)), float(np.max(size[turns >= turns[-1] - 1.0]))
-    all_in_all = float(np.nanmax(np.abs(from_origin), initial=0.0))
-    if worst > LOST:
-        return f"The shape is lost: it deviates by up to {worst:.0%}", WITH_DRIFT
-    if late < SETTLED * worst and np.ptp(turns) > 1.0:
-        words = f"The shape settles: {100 * worst:.2g} % at most, "
-        words += f"{100 * late:.2g} % in the last {turn}"
-    else:
-        words = f"The shape holds: it deviates by at most {100 * worst:.2g} %"
-    if all_in_all < 2.0 * worst:
-        return words, f"{WITH_DRIFT}, which adds little"
-    return words, (
-        f"{WITH_DRIFT} along its orbit, up to {100 * all_in_all:.2g} %:"
-        " harmless, the shape does not feel it"
-    )
 
 
 def tethers(

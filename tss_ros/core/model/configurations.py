@@ -24,6 +24,8 @@ from tss_ros.core.model.system import State, System, finite
 
 #: Where a formation that hangs starts.
 EQUILIBRIUM = "equilibrium of the orbit frame"
+#: Beads with less than this share of the largest radius are near the centre.
+NEAR_CENTRE = 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -228,6 +230,9 @@ def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:
 def deviation(position_m: np.ndarray, reference_radius_m: float | np.ndarray) -> np.ndarray:
     """Relative deviation d_i = |r_i| / R_0 - 1, Eq. (53).
 
+    A bead at or near the centre has no radius to compare with. Where R_0 is less than a tenth of
+    the largest one R_max, d_i = (|r_i| - R_0) / R_max.
+
     Parameters
     ----------
     position_m : ndarray, shape (..., n, 3)
@@ -238,4 +243,9 @@ def deviation(position_m: np.ndarray, reference_radius_m: float | np.ndarray) ->
     -------
     ndarray, shape (..., n)
     """
-    return np.linalg.norm(position_m, axis=-1) / reference_radius_m - 1.0
+    radius_m = np.asarray(reference_radius_m, dtype=float)
+    near = radius_m < NEAR_CENTRE * np.max(radius_m)
+    compared_m = np.where(near, np.max(radius_m), radius_m)
+    return np.linalg.norm(position_m, axis=-1) / compared_m - np.where(
+        near, radius_m / compared_m, 1.0
+    )

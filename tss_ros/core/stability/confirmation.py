@@ -333,7 +333,6 @@ class UndisturbedMotion:
         made = turns_made(arms, self._ratio or 1.0, self.axis) / self._turns + (not self._ratio)
         apart = np.nan_to_num(np.abs(made - 1.0))
         turned = float(made[np.argmax(apart)]) if apart.any() else 1.0
-        beyond = self._radius > 1e-6 * size
         distance = np.linalg.norm(arms, axis=2)
         history = np.max(np.abs(distance - self._distance), axis=1) / size
         from_centre = np.max(np.abs(distance - distance[0]), initial=0.0) / size
@@ -347,9 +346,7 @@ class UndisturbedMotion:
             turned=turned,
             shortest=shortest,
             turns_to_settle=float(times[loud[-1] + 1] / self._period_s) if settled else math.inf,
-            deviation_from_origin=float(
-                np.max(np.abs(deviation(position[:, beyond], self._radius[beyond])))
-            ),
+            deviation_from_origin=float(np.max(np.abs(deviation(position, self._radius)))),
             deviation_from_centre=float(from_centre),
             switches=switches,
             slack_share=float(np.mean(~taut)),
