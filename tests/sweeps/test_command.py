@@ -148,7 +148,7 @@ def test_what_is_left_out_is_no_failure_and_another_question_than_to_ask_for_it(
         (("nowhere", "--rates", "-3", "-2", "2"), 1, "'nowhere'"),
         (
             ("three_sta",), 2,
-            "vertical_chain_4 or the path of a .yaml file, got 'three_sta'; did you mean 'three_star'?",
+            "chain_4 or the path of a .yaml file, got 'three_sta'; did you mean 'three_star'?",
         ),
         (("thee_star", "--rates", "-3", "-2", "2"), 1, "did you mean 'three_star'?"),
         (("three_star", "five_star"), 2, "own rates are three_star -2.5, five_star -5"),
