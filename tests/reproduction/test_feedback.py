@@ -49,9 +49,7 @@ def same(one, other):
 def test_the_commands_of_the_page_give_its_numbers():
     table = re.search(rf"\| {WATCHED:g} \| asymptotically stable \| ([0-9.]+) \|", PAGE)[1]
     code = written("python -c").removeprefix("python -c '").removesuffix("'")
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert f"{float(done.stdout):.5f}" == table, done.stderr
     words = written("tss sweep").replace("\\\n", " ").split()
     done = subprocess.run([*SWEEP, *words[2:]], capture_output=True, text=True, timeout=120)

@@ -21,7 +21,7 @@ from tss_ros.scenarios import scenario
 
 #: Parameters of the laws that are varied.
 DAMPING, KEEPING = "rotation_damping_n_s_per_m", "shape_keeping_n_per_m"
-#: The paper's six beads: rate over Omega, C of the tethers [N s/m], and the scenario of the same ring
+#: The paper's six beads: rate over Omega, C of the tethers [N s/m], and the scenario of that ring
 #: with another C; gains tried [N s/m], and the one that is watched.
 RATE, TETHER_DAMPING, SHIPPED = -2.9, 100.0, "six_bead"
 GAINS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 25.0, 30.0, 50.0, 100.0, 200.0)

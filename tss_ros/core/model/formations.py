@@ -238,10 +238,8 @@ def formation(
         Naming the parameter, its value and what is allowed.
     """
     if shape not in FORMATIONS:
-        raise TssError(
-            f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}"
-            f"{near_match(shape, FORMATIONS)}"
-        )
+        known = f"{', '.join(FORMATIONS)}, got {shape!r}{near_match(shape, FORMATIONS)}"
+        raise TssError(f"formation must be one of {known}")
     count = _whole("satellites", satellites, FORMATIONS[shape], MOST_BEADS)
     graph = _graph(shape, count)
     spread = _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
