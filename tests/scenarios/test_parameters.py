@@ -165,6 +165,7 @@ def test_a_scenario_of_bodies_and_tethers_has_only_those_of_orbit_and_spin(tmp_p
     [
         ("tether_law: tension_onyl", "tether_law must be one of .*'tension_only'"),
         ("tether_law: [tension_only]", "tether_law must be one of"),
+        ("formation: hub_and_spok", "formation must be .*; did you mean 'hub_and_spoke'?"),
         ("j2: much", "j2 must be a number, got 'much'"),
         ("j2: -1.0", "j2 must be at least"),
         ("stiffening: 2.0", "stiffening is 2, which only tether_law stiffening uses"),

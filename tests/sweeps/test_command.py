@@ -9,6 +9,9 @@ import pytest
 from PIL import Image
 from ros_harness import SWEEP
 
+from tss_ros.core import compute_floquet
+from tss_ros.scenarios import scenario
+
 
 def run(*arguments):
     return subprocess.run([*SWEEP, *arguments], capture_output=True, text=True, timeout=120)
@@ -86,10 +89,68 @@ def test_the_law_is_named_where_another_parameter_is_varied():
     assert done.stdout.splitlines()[0] == "three_star tether_length_m=9000, kelvin_voigt"
 
 
+def test_where_no_motion_is_found_the_reason_is_a_line_and_no_number_is_missing():
+    done = run("double_pyramid")
+    assert done.returncode == 0, done.stderr
+    _, found, reason = done.stdout.splitlines()
+    result = compute_floquet(scenario.load("double_pyramid").build(), -5.0, "frozen")
+    assert found.split() == ["-5.0000", "none", "found", "(frozen", f"{result.max_modulus:.6f})"]
+    assert reason.startswith(" " * 13 + "none found of the formation's own family: no motion")
+    assert "; " not in reason
+
+
+def test_the_frozen_method_says_why_it_found_nothing_beside_a_motion():
+    done = run("lissajous")
+    _, found, reason = done.stdout.splitlines()
+    assert "neutral" in found and "by shape 1.000000" in found
+    assert "frozen" not in found and "nan" not in done.stdout
+    assert reason.strip().startswith("frozen none found: the given state is no equilibrium")
+
+
+ELLIPSE = (
+    "three_star", "--parameter", "eccentricity", "--values", "0", "0.05",
+    "--rates", "-3", "-2.9", "2",
+)  # fmt: skip
+
+
+def test_a_method_nobody_asked_for_is_left_out_where_it_is_not_defined(tmp_path):
+    done = run(*ELLIPSE, "--critical", "-2.2", "-2.15", "--output", str(tmp_path / "default"))
+    assert done.returncode == 1
+    found = [
+        (row["eccentricity"], row["spin_rate_ratio"], row["method"])
+        for row in rows(tmp_path / "default" / "multipliers")
+    ]
+    by_both = [(0.0, w, method) for w in (-3.0, -2.9) for method in ("monodromy", "frozen")]
+    assert found == [*by_both, (0.05, -3.0, "monodromy"), (0.05, -2.9, "monodromy")]
+    # Critical rates were asked for, and are not known on an ellipse: the only failure.
+    assert "sweep: 1 of 8 jobs failed, first three_star eccentricity=0.05" in done.stderr
+    assert rows(tmp_path / "default" / "critical_rates")[-1]["error"]
+    assert done.stdout.splitlines()[-1] == (
+        "  method frozen left out for 1 of 2 systems, first three_star eccentricity=0.05:"
+        " the orbit is an ellipse of eccentricity 0.05"
+    )
+
+
+def test_what_is_left_out_is_no_failure_and_another_question_than_to_ask_for_it(tmp_path):
+    done = run(*ELLIPSE, "--output", str(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("(frozen ") == 2 and done.stdout.count("left out") == 1
+    asked = run(*ELLIPSE, "--methods", "monodromy", "frozen")
+    assert asked.returncode == 1 and "left out" not in asked.stdout
+    assert "2 of 8 jobs failed" in asked.stderr and "method frozen needs forces" in asked.stderr
+    other = run(*ELLIPSE, "--methods", "monodromy", "frozen", "--output", str(tmp_path))
+    assert other.returncode == 1 and "holds another sweep: left out is" in other.stderr
+
+
 @pytest.mark.parametrize(
     "arguments, status, named",
     [
         (("nowhere", "--rates", "-3", "-2", "2"), 1, "'nowhere'"),
+        (
+            ("three_sta",), 2,
+            "chain_4 or the path of a .yaml file, got 'three_sta'; did you mean 'three_star'?",
+        ),
+        (("thee_star", "--rates", "-3", "-2", "2"), 1, "did you mean 'three_star'?"),
         (("three_star", "five_star"), 2, "own rates are three_star -2.5, five_star -5"),
         (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
         (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),

@@ -17,11 +17,13 @@ from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.feedback import thrust
 from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.motion.propagator import Integrator
+from tss_ros.scenarios import scenario
 
 #: Parameters of the laws that are varied.
 DAMPING, KEEPING = "rotation_damping_n_s_per_m", "shape_keeping_n_per_m"
-#: The paper's six beads: rate over Omega, gains tried [N s/m], and the one that is watched.
-RATE, TETHER_DAMPING = -2.9, 100.0
+#: The paper's six beads: rate over Omega, C of the tethers [N s/m], and the scenario of that ring
+#: with another C; gains tried [N s/m], and the one that is watched.
+RATE, TETHER_DAMPING, SHIPPED = -2.9, 100.0, "six_bead"
 GAINS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 25.0, 30.0, 50.0, 100.0, 200.0)
 WATCHED = 20.0
 #: Push [m], turns that are watched, samples of each, and the share of its first swing at which a
@@ -52,6 +54,11 @@ def six_beads(gain: float, damping: float = TETHER_DAMPING, mass: float = 1.0) -
     )  # fmt: skip
 
 
+def shipped(gain: float) -> System:
+    """The ring of the scenario `SHIPPED` with feedback."""
+    return scenario.load(SHIPPED).build({DAMPING: gain})
+
+
 def three_star(gain: float) -> System:
     """The paper's three satellites, their tethers pulling only."""
     return core.ring(damping_n_s_per_m=1450.0, tether_law="tension_only", **{DAMPING: gain})
@@ -70,14 +77,15 @@ def moduli(result: FloquetResult, family: str, above: bool | None = None) -> np.
 
 
 def gains(stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Multipliers of the six beads without feedback and over its gain."""
+    """Multipliers of the six beads without feedback and over its gain, and of the scenario's."""
     rows = []
     for gain in (0.0, *GAINS):
         result = core.compute_floquet(six_beads(gain), RATE, certify=False, cancelled=stopped)
         rows.append({"gain": gain, "result": result})
     found = rows[1:]
     best = min(found, key=lambda row: row["result"].max_modulus_nontrivial)
-    return {"open": rows[0]["result"], "rows": found, "best": best}
+    own = core.compute_floquet(shipped(WATCHED), RATE, certify=False, cancelled=stopped)
+    return {"open": rows[0]["result"], "rows": found, "best": best, "shipped": own}
 
 
 def watched(system: System, result: FloquetResult, ratio: float, turns: int) -> dict[str, Any]:

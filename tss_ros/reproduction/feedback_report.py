@@ -173,6 +173,29 @@ coupled with every other: the law is meant for formations of some tens of satell
 must be the orbit normal."""
 
 
+def settings(found: Mapping[str, Any]) -> list[str]:
+    """Paragraphs that say which ring the six beads are, and what its scenario has instead."""
+    watched = next(row["result"] for row in found["rows"] if row["gain"] == WATCHED)
+    own, name = feedback.shipped(WATCHED), feedback.SHIPPED
+    tether_damping = own.damping_n_s_per_m[0] / 2.0  # of two segments in a row
+    beads = ~own.is_satellite
+    return [
+        f"The ring is that of the scenario `{name}`, {own.mass_kg[0]:.0f} kg a satellite and"
+        f" {own.mass_kg[beads][0]:.0f} kg a bead, but with C = {feedback.TETHER_DAMPING:g} N s/m in"
+        f" each tether, where the scenario has {tether_damping:g}. So are the six beads of all"
+        f" sections that name no other C. That changes the fourth digit: with {WATCHED:g} N s/m the"
+        f" table has {watched.max_modulus_nontrivial:.5f}, which is what this prints,",
+        "    python -c 'from tss_ros import core; from tss_ros.scenarios import scenario\n"
+        f'    changed = {{"damping_n_s_per_m": {feedback.TETHER_DAMPING},'
+        f' "{feedback.DAMPING}": {WATCHED}}}\n'
+        f'    ring = scenario.load("{name}").build(changed)\n'
+        f"    print(core.compute_floquet(ring, {RATE:g}).max_modulus_nontrivial)'",
+        f"and the scenario's own C gives {found['shipped'].max_modulus_nontrivial:.5f}:",
+        f"    tss sweep {name} --rates {RATE:g} {RATE:g} 1 --methods monodromy \\\n"
+        f"        --parameter {feedback.DAMPING} --values {WATCHED:g}",
+    ]
+
+
 def _six_beads(found):
     best, motion = found["gains"]["best"], found["settling"]["own"]
     own = found["gains"]["open"]
@@ -197,6 +220,7 @@ def _six_beads(found):
                 for row in shown
             ],
         ),  # fmt: skip
+        *settings(found["gains"]),
         f"Of the gains tried {best['gain']:g} N s/m is best. Thrusters sit on the satellites, which"
         " the beads hardly move: a small gain takes little, a large one holds the satellites so"
         " still that the beads swing between fixed ends.",
@@ -285,8 +309,9 @@ def _slow(found):
     ]  # fmt: skip
     return [
         f"## Three satellites at {SLOW:g} Ω",
-        "Inside the unstable band, with tethers that only pull, the paper's ring is lost by spin"
-        " alone: its axis tilts over, and its tethers go slack. A rigid ring's axis stays from"
+        "Inside the unstable band, with tethers that only pull, the paper's ring (the scenario"
+        " `three_star` with the `tether_law` tension_only) is lost by spin alone: its axis tilts"
+        " over, and its tethers go slack. A rigid ring's axis stays from"
         f" c = m Ω sqrt(-(1 + 2 w)(4 + 2 w)) / |w| = {rigid:.3f} N s/m on. The tethers ask for"
         f" more: a motion that is asymptotically stable was followed down to c = {slow['gain']:.3f}"
         f" N s/m, next to which none was found below; a disturbance of its shape shrinks to"

@@ -183,7 +183,7 @@ def read_text(name_or_path: str | Path) -> str:
     if path.suffix not in (".yaml", ".yml"):
         raise TssError(
             f"scenario must be one of {', '.join(shipped())} or the path of a .yaml file,"
-            f" got {text!r}"
+            f" got {text!r}{near_match(text, shipped())}"
         )
     try:
         return files.read_text(path)
@@ -267,7 +267,8 @@ def _parse(name, content):
     if not graph:
         shape = content.get("formation", "ring")
         if shape not in FORMATIONS:
-            raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
+            known = f"{', '.join(FORMATIONS)}, got {shape!r}{near_match(shape, FORMATIONS)}"
+            raise TssError(f"formation must be one of {known}")
         return Scenario(name, description, shape, parameters, failures, read_reels(content))
     entries = _entries(content, "bodies")
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]

@@ -35,7 +35,7 @@ def table(question: Question, store: Store) -> str:
     str
     """
     if len(question) > MAX_LISTED:
-        return "\n".join(_counts(question, store))
+        return "\n".join([*_counts(question, store), *_left_out(question)])
     lines = []
     names = MULTIPLIERS, CRITICAL_RATES, SIMULATIONS, jobs.FAMILIES, jobs.SPECIAL_POINTS
     rates, critical, simulated, families, special = (
@@ -46,13 +46,13 @@ def table(question: Question, store: Store) -> str:
         lines.append(label if question.parameter == "tether_law" else f"{label}, {law}")
         rows = rates.get(label, [])
         frozen = {
-            row["spin_rate_ratio"]: row["max_modulus"]
+            row["spin_rate_ratio"]: row
             for row in rows
             if row["method"] == "frozen" and not row["error"]
         }
         for row in rows:
             if row["method"] != "frozen" or question.methods == ["frozen"]:
-                lines.append(_rate(row, frozen))
+                lines.append(_rate(row, frozen.get(row["spin_rate_ratio"], row)))
         for row in critical.get(label, ()):
             lines.append(_critical(row))
             beside = row["spin_rate_ratio"]
@@ -62,7 +62,7 @@ def table(question: Question, store: Store) -> str:
         if question.interval and label not in critical:
             lines.append("  no critical rate found")
         lines += _family(families.get(label, ()), special.get(label, ()))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_left_out(question)])
 
 
 def _by_system(question, store, name):
@@ -73,14 +73,32 @@ def _by_system(question, store, name):
 
 
 def _rate(row, frozen):
+    """What was found at a rate, by the motion's own method and, `frozen`, by the paper's."""
+    place = f"  {row['spin_rate_ratio']:9.4f}"
     if row["error"]:
-        return f"  {row['spin_rate_ratio']:9.4f}  {row['error']}"
-    ratio = row["spin_rate_ratio"]
-    beside = f"  (frozen {frozen[ratio]:.6f})" if ratio in frozen else ""
-    return (
-        f"  {ratio:9.4f}  {row['verdict']:22}  by {_decided(row):23}{beside}"
-        f"  closure {row['closure_residual']:.0e}  switches {row['switches']}{_pushing(row)}"
-    )
+        return f"{place}  {row['error']}"
+    words, closure = f"{place}  {row['verdict']:22}", row["closure_residual"]
+    if decided := _decided(row):
+        words += f"  by {decided:23}"
+    if frozen is not row and not math.isnan(frozen["max_modulus"]):
+        words += f"  (frozen {frozen['max_modulus']:.6f})"
+    if not math.isnan(closure):
+        words += f"  closure {closure:.0e}  switches {row['switches']}"
+    reasons = {}
+    for of, method in ((row, ""), (frozen, "frozen none found: ")):
+        if of["verdict"] == "none found" and not _decided(of):
+            reasons.setdefault(of["message"].split(";")[0], method)
+    below = [f"\n             {method}{reason}" for reason, method in reasons.items()]
+    return f"{words}{_pushing(row)}".rstrip() + "".join(below)
+
+
+def _left_out(question):
+    """A line that says where the frozen method was left out, and why."""
+    if question.left_out and question.ratios:
+        label, why = next(iter(question.left_out.items()))
+        count = sum(known in question.left_out for known in question.labels)
+        of = f"{count} of {len(question.labels)} systems"
+        yield f"  method frozen left out for {of}, first {label}: {why}"
 
 
 def _decided(row):
@@ -192,8 +210,9 @@ def _parse(arguments):
         help="multipliers at so many spin rates (the scenario's own)",
     )  # fmt: skip
     parser.add_argument(
-        "--methods", nargs="+", choices=METHODS, default=list(METHODS),
-        help="of multipliers (both: the motion's own, and the paper's frozen ones beside)",
+        "--methods", nargs="+", choices=METHODS,
+        help="of multipliers (the motion's own, and the paper's frozen ones beside where they"
+        " are defined)",
     )  # fmt: skip
     parser.add_argument(
         "--critical", nargs=2, type=float, metavar=("FROM", "TO"),
@@ -229,7 +248,8 @@ def _parse(arguments):
     work.check_options(parser, options)
     if options.output and (why := why_not_written(options.output)):
         parser.error(f"--output: {why}")
-    options.methods = [method for method in METHODS if method in options.methods]
+    if options.methods:
+        options.methods = [method for method in METHODS if method in options.methods]
     if own:
         options.rates = (*own, *own, 1)
     elif options.rates:

@@ -9,6 +9,7 @@ from typing import Any, get_origin, get_type_hints
 import numpy as np
 
 from tss_ros.core import (
+    METHODS,
     Cancelled,
     Confirmation,
     ConfirmationJob,
@@ -22,6 +23,7 @@ from tss_ros.core import (
     State,
     TssError,
 )
+from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.stability.confirmation import turns_that_tell
 from tss_ros.core.stability.follow import SPIN_RATE_RATIO
 from tss_ros.scenarios import scenario
@@ -143,8 +145,8 @@ class Question:
     values : sequence of float or of str
     rates : (float, float, int) or None
         First and last spin rate, and how many.
-    methods : sequence of str
-        Of `core.METHODS`, for each rate.
+    methods : sequence of str, optional
+        Of `core.METHODS`, for each rate; each where it is defined, if not given.
     interval : (float, float) or None
         Where critical rates are searched.
     tolerance : float
@@ -153,6 +155,11 @@ class Question:
         Length of the simulations `BESIDE` every critical rate; 0 for none.
     followed : (float, float) or None
         Spin rates from which and to which the own family is followed.
+
+    Attributes
+    ----------
+    left_out : dict of str to str
+        Labels of the systems for which only the first of `methods` is defined, and why.
 
     Raises
     ------
@@ -168,14 +175,14 @@ class Question:
         parameter: str,
         values: Sequence[float] | Sequence[str],
         rates: tuple[float, float, int] | None,
-        methods: Sequence[str],
+        methods: Sequence[str] | None,
         interval: tuple[float, float] | None,
         tolerance: float,
         turns: int,
         *,
         followed: tuple[float, float] | None = None,
     ) -> None:
-        self.parameter, self.methods, self.followed = parameter, methods, followed
+        self.parameter, self.methods, self.followed = parameter, methods or METHODS, followed
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
         self.varies_text = parameter in TEXTS
@@ -191,25 +198,32 @@ class Question:
             shown.format(name, parameter, value) if parameter else name
             for name, value, _ in self.systems
         ]
+        of_time = [why_not_autonomous(system) for _, _, system in self.systems]
+        self.left_out = {
+            label: why for label, why in zip(self.labels, of_time) if why and methods is None
+        }
+        singles = (interval is not None) + (followed is not None)
+        counts = [len(self.ratios) * len(self._methods(label)) + singles for label in self.labels]
+        self._first = np.cumsum([0, *counts])
         self.description = {
             **{f"scenario {name}": scenario.read_text(name) for name in scenarios},
             "scenarios": scenarios, "parameter": parameter, "values": values,
-            "rates": rates, "methods": methods, "critical": interval,
+            "rates": rates, "methods": list(self.methods), "critical": interval,
             "tolerance": tolerance, "confirm": turns, "follow": followed,
+            **({"left out": self.left_out} if self.left_out else {}),
             **{f"version of {name}": value for name, value in software.versions().items()},
         }  # fmt: skip
 
     def __len__(self):
-        return len(self.systems) * self._jobs_per_system
+        return int(self._first[-1])
 
-    @property
-    def _jobs_per_system(self):
-        singles = (self.interval is not None) + (self.followed is not None)
-        return len(self.ratios) * len(self.methods) + singles
+    def _methods(self, label):
+        """The methods by which multipliers of a system are computed."""
+        return self.methods[:1] if label in self.left_out else self.methods
 
     def system_index(self, number: int | np.ndarray) -> int | np.ndarray:
         """Which of `systems` a job, or each of an array of jobs, is about."""
-        return number // self._jobs_per_system
+        return np.searchsorted(self._first, number, side="right") - 1
 
     def label(self, number: int) -> str:
         """The system of a job, in words."""
@@ -217,20 +231,22 @@ class Question:
 
     def job(self, number: int) -> Entry:
         """The Entry of a number."""
-        index, place = self.system_index(number), number % self._jobs_per_system
+        index = self.system_index(number)
+        place, after = number - int(self._first[index]), int(self._first[index + 1])
         name, value, system = self.systems[index]
+        methods = self._methods(self.labels[index])
         cells = {"job": number, "scenario": name, "tether_law": system.tether_law}
         if self.parameter:
             cells[self.parameter] = value
-        if self.followed is not None and place == self._jobs_per_system - 1:
+        if self.followed is not None and number == after - 1:
             start = self._templates[name].start(system)
             family = FamilyJob(system, SPIN_RATE_RATIO, *self.followed, state=start)
             return Entry(Followed(family), cells)
-        if place == len(self.ratios) * len(self.methods):
+        if place == len(self.ratios) * len(methods):
             interval = CriticalRatesJob(system, *self.interval, self.tolerance)
             return Entry(Boundaries(interval, self.turns), cells)
-        at, by = divmod(place, len(self.methods))
-        ratio, method = self.ratios[at], self.methods[by]
+        at, by = divmod(place, len(methods))
+        ratio, method = self.ratios[at], methods[by]
         return Entry(
             FloquetJob(system, ratio, method, self._templates[name].start(system)),
             cells | {"spin_rate_ratio": ratio, "method": method},

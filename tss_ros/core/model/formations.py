@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.errors import TssError
+from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.frames import turn_to
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.parameters import named_perturbations
@@ -238,7 +238,8 @@ def formation(
         Naming the parameter, its value and what is allowed.
     """
     if shape not in FORMATIONS:
-        raise TssError(f"formation must be one of {', '.join(FORMATIONS)}, got {shape!r}")
+        known = f"{', '.join(FORMATIONS)}, got {shape!r}{near_match(shape, FORMATIONS)}"
+        raise TssError(f"formation must be one of {known}")
     count = _whole("satellites", satellites, FORMATIONS[shape], MOST_BEADS)
     graph = _graph(shape, count)
     spread = _spread("beads_per_tether", beads_per_tether, {"tether": [1] * len(graph)})
