@@ -267,8 +267,8 @@ def _parse(name, content):
     if not graph:
         shape = content.get("formation", "ring")
         if shape not in FORMATIONS:
-            known = f"{', '.join(FORMATIONS)}, got {shape!r}{near_match(shape, FORMATIONS)}"
-            raise TssError(f"formation must be one of {known}")
+            words = f"{', '.join(FORMATIONS)}, got {shape!r}{near_match(shape, FORMATIONS)}"
+            raise TssError(f"formation must be one of {words}")
         return Scenario(name, description, shape, parameters, failures, read_reels(content))
     entries = _entries(content, "bodies")
     bodies = [_body(i, entry) for i, entry in enumerate(entries)]
