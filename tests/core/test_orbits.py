@@ -280,7 +280,14 @@ def test_laws_change_what_an_independent_integration_says_they_do(laws):
     assert np.abs(ends[0] - ends[1]).max() > 1e-4 * 1e4
 
 
-@pytest.mark.parametrize("laws", [ELLIPSE, INCLINED, ALL], ids=["ellipse", "oblate", "all"])
+@pytest.mark.parametrize(
+    "laws",
+    [
+        pytest.param(ELLIPSE, marks=pytest.mark.long, id="ellipse"),
+        pytest.param(INCLINED, marks=pytest.mark.long, id="oblate"),
+        pytest.param(ALL, id="all"),
+    ],
+)
 def test_variations_are_those_of_an_independent_integration(laws):
     """By complex steps through the printed formulas, over the orbit."""
     system = triangle(**laws)

@@ -218,6 +218,7 @@ LAW = ThrustLaw("one_law", "against the turn's error", thrust, (GAIN,))
 """
 
 
+@pytest.mark.long
 def test_a_law_that_is_changed_is_compiled_anew(tmp_path):
     """Where the change is in the law, and where it is in a module that the law imports."""
     (tmp_path / "one_law.py").write_text(ONE_LAW)

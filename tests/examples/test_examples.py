@@ -16,6 +16,8 @@ RUNNER = Path(__file__).with_name("run_example.py")
 #: Long enough to compile the numerical core [s]; an example itself takes a few.
 PATIENCE_S = 400.0
 
+#: Examples that take longer than most.
+LONG = {"plot_two_parameter_chart"}
 #: By example, what to ask for at its end.
 ASKED = {
     "plot_paper_ring": {
@@ -105,14 +107,18 @@ def values(run, request):
 
 def of(name):
     """The mark of a test of one example."""
-    return pytest.mark.parametrize("values", [name], indirect=True)
+    return pytest.mark.parametrize("values", [_marked(name)], indirect=True)
+
+
+def _marked(name):
+    return pytest.param(name, marks=pytest.mark.long) if name in LONG else name
 
 
 def test_every_example_is_tested():
     assert {path.stem for path in FOLDER.glob("plot_*.py")} == set(ASKED)
 
 
-@pytest.mark.parametrize("name", ASKED)
+@pytest.mark.parametrize("name", map(_marked, ASKED))
 def test_it_ends_in_pictures_with_content(run, name):
     outcome, folder = run(name)
     assert outcome["empty"] == outcome["unlabelled"] == []
@@ -126,7 +132,7 @@ def test_it_ends_in_pictures_with_content(run, name):
         assert len(np.unique(pixels, axis=0)) > 50
 
 
-@pytest.mark.parametrize("name", ASKED)
+@pytest.mark.parametrize("name", map(_marked, ASKED))
 def test_it_leaves_no_file_behind(run, name):
     _, folder = run(name)
     left = {path.name for path in folder.iterdir() if not path.name.startswith("figure_")}

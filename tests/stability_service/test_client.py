@@ -83,6 +83,7 @@ def test_range_csv_and_plot(ask, tmp_path):
     assert (tmp_path / "a.png").read_bytes().startswith(PNG)
 
 
+@pytest.mark.long
 def test_the_mode_that_decided_is_drawn_and_animated(ask, tmp_path):
     """A hexagon's tilt meets its wave k = 3 at -2.8: the picture is of that mode."""
     hexagon = ("-2.8", "--override", "satellites=6")
