@@ -214,6 +214,18 @@ def test_a_stuck_reel_winds_in_no_more_than_it_can():
     assert again.edges(0) == edges
 
 
+def test_the_end_of_what_was_stuck_first_is_none_of_what_is_stuck_later():
+    def paying(since_s, length_m, rate_m_s):
+        row = [since_s, length_m, rate_m_s, 0.0, 0.0]
+        return Commands.of(SYSTEM, [], [], {"tether_1": row})
+
+    edges = [(0.0, paying(0.0, 1e4, -0.5)), (20.0, paying(0.0, 9990.0, 0.0))]
+    happened = [Happened(10.0, 3, STUCK), Happened(25.0, 3, HEALTHY), Happened(30.0, 3, STUCK)]
+    newest = list(with_failures(SYSTEM, edges, happened))[-1]
+    assert newest.time == 10.0 + (9995.0 - 0.2) / 0.5  # where the first one would have ended
+    assert newest.commands == edges[-1][1] and newest.failed == (("tether_1", STUCK),)
+
+
 def test_failures_of_reels_survive_a_snapshot(tmp_path):
     live = Simulation(PLAIN, 0.0, threading.Event().set)
     live.commands.post(WIND)

@@ -232,9 +232,9 @@ def _wake_on_signals(executor):
     """Wake an executor at every signal: Python calls no handler while it waits."""
     told, tell = socket.socketpair()
     tell.setblocking(False)
-    signal.set_wakeup_fd(tell.fileno())
+    signal.set_wakeup_fd(tell.detach())
 
-    def pass_on(_keep=tell):
+    def pass_on():
         while told.recv(1):
             executor.wake()
 

@@ -16,6 +16,10 @@ from tss_interfaces.msg import (
 
 from tss_ros import core
 
+#: Arrays of a GrowthResult and of its start.
+_OF_GROWTH = ("exponent_per_s", "error_per_s", "history_per_s")
+_OF_STATE = ("position_m", "velocity_m_s")
+
 
 def floquet_result(
     result: core.FloquetResult,
@@ -91,10 +95,6 @@ def failed_growth_result(spin_rate_ratio: float, message: str) -> GrowthResult:
         resolution_per_s=math.nan,
         message=message,
     )
-
-
-_OF_GROWTH = ("exponent_per_s", "error_per_s", "history_per_s")
-_OF_STATE = ("position_m", "velocity_m_s")
 
 
 def critical_rate(system: core.System, rate: core.CriticalRate) -> CriticalRate:

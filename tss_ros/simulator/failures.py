@@ -11,8 +11,8 @@ from tss_ros.core.model.failures import (
     Change,
     Happened,
     actuator_name,
-    held,
     reel_at,
+    settled,
     with_failures,
 )
 from tss_ros.core.model.reels import reel_names
@@ -93,16 +93,13 @@ class FailureTable:
         """
         if not self._kept:
             return
-        changes = {change.time: change.commands for change in self.act_on(edges, before)}
         newest, later = {}, []
-        for failure in sorted(self._kept, key=lambda failure: failure.time):
+        kept = settled(self._system, edges, self._kept, now_ns, before, NS)
+        for failure in sorted(kept, key=lambda failure: failure.time):
             if failure.time > now_ns:
                 later.append(failure)
-                continue
-            if failure.kind != HEALTHY and failure.held is None:
-                commands = changes[failure.time]
-                failure = held(self._system, commands, failure, NS)
-            newest[failure.place] = failure
+            else:
+                newest[failure.place] = failure
         self._kept = [f for f in newest.values() if f.kind != HEALTHY] + later
 
     def shift(self, by_ns: int) -> None:

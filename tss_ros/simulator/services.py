@@ -85,6 +85,7 @@ class SimulationServices:
         self,
         node: TssNode,
         control: Control,
+        *,
         make_setup: Callable[[], Setup],
         newest_states: Callable[[], tuple[BeadStates, TetherStates]],
         on_event: Callable[[str, str], None],

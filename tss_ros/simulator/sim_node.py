@@ -114,12 +114,12 @@ class SimNode(TssNode):
         services = SimulationServices(
             self,
             self._control,
-            self._make_setup,
-            self._newest_states,
-            self._on_event,
-            self._report_status,
-            self._options["service_folder"],
-            self._commands.drain,
+            make_setup=self._make_setup,
+            newest_states=self._newest_states,
+            on_event=self._on_event,
+            on_answer=self._report_status,
+            folder=self._options["service_folder"],
+            on_request=self._commands.drain,
         )
         EntityServices(self, self._control, services.ask, self._on_event, self._frame_id)
         self._steps_action = StepsAction(self, self._control, services.ask)

@@ -17,12 +17,11 @@ from tss_ros.bags.writer import BagWriter
 from tss_ros.command_line import Parser, ProgressLine
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
 from tss_ros.core.model.failures import (
-    CUT,
     Change,
     FailureWatch,
     Happened,
-    held,
     news_alone,
+    settled,
     with_failures,
 )
 from tss_ros.messages.cdr import serialised
@@ -216,7 +215,8 @@ class _Story:
         if not self.law.look(self._table, states):
             return False
         now_ns = int(states.time_ns[-1])
-        self._settle(now_ns)
+        given = [c[:2] for c in self._given]
+        self._happened = settled(self._setup.system, given, self._happened, now_ns, per_s=NS)
         self._table.collect(now_ns)
         # Of what has been told only what still acts is kept.
         told = [c for c in self._given if c[0] <= self._told_ns][-1:]
@@ -226,16 +226,6 @@ class _Story:
         later = untold + edges_from(self._table, now_ns)
         self._given = told + news_alone(acting, later)
         return True
-
-    def _settle(self, now_ns):
-        """Note what the actuators do that have failed by now."""
-        system, given = self._setup.system, [c[:2] for c in self._given]
-        changes = with_failures(system, given, self._happened, per_s=NS)
-        acting = {change.time: change.commands for change in changes}
-        self._happened = [
-            held(system, acting[h.time], h, NS) if h.kind != CUT and h.time <= now_ns else h
-            for h in self._happened
-        ]
 
     def told(self, first, states):
         """Messages of all that came to act before the last of these states, of number `first` on.

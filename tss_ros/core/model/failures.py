@@ -187,17 +187,20 @@ def with_failures(
     while events:
         time = events[0][0]
         while events and events[0][0] == time:
-            _, is_failure, _, event = heapq.heappop(events)
-            if not is_failure:
+            _, order, _, event = heapq.heappop(events)
+            if order == 0:
                 commanded = event
+            elif order == 2:
+                stuck, stop = event
+                if failed[stuck.place] is stuck:  # else something has become of it since
+                    failed[stuck.place] = stop
             elif event.kind == CUT:
                 cut.add(event.place)
-            elif is_failure == 1 or failed[event.place].kind == STUCK:
+            else:
                 acting = _acting(system, commanded, cut, failed, per_s)
-                event = held(system, acting, event, per_s)
-                failed[event.place] = event
+                event = failed[event.place] = _held(system, acting, event, per_s)
                 if stop := _stop(system, event, per_s):
-                    heapq.heappush(events, (stop.time, 2, next(numbers), stop))
+                    heapq.heappush(events, (stop.time, 2, next(numbers), (event, stop)))
         named = [(actuator_name(system, i), failed[i].kind) for i in sorted(failed)]
         yield Change(
             time,
@@ -221,19 +224,25 @@ def reel_at(row: np.ndarray, time: float, per_s: float = 1.0) -> np.ndarray:
     return np.array(cubic_at(row[1:], (time - begun) / per_s if row[2:].any() else 0.0))
 
 
-def held(system: System, acting: Commands, event: Happened, per_s: float = 1.0) -> Happened:
-    """A failure with what its actuator goes on with, which is what it does as it fails.
+def settled(
+    system: System,
+    edges: Iterable[tuple[float, Commands]],
+    happened: Sequence[Happened],
+    now: float,
+    before: Commands | None = None,
+    per_s: float = 1.0,
+) -> list[Happened]:
+    """Failures, with what the actuators go on with that have failed by now.
 
-    Parameters
-    ----------
-    system : System
-    acting : Commands
-        What acts at its time.
-    event : Happened
-    per_s : float
-        As of `with_failures`.
+    After it edges before now may be forgotten. Parameters are those of `with_failures`.
     """
-    if event.held is not None or event.kind == HEALTHY:
+    acting = {c.time: c.commands for c in with_failures(system, edges, happened, before, per_s)}
+    return [_held(system, acting[h.time], h, per_s) if h.time <= now else h for h in happened]
+
+
+def _held(system, acting, event, per_s):
+    """A failure with what its actuator goes on with, which is what acts as it fails."""
+    if event.held is not None or event.kind in (HEALTHY, CUT):
         return event
     if event.place < system.n:
         return event._replace(held=acting.force_n[:, event.place])
