@@ -110,8 +110,10 @@ def describe(recording: Recording) -> str:
             values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
             lines.append(f"law           {law.name}: {', '.join(values)}")
     if acting := acting_thrusts(r.system):
-        named = (*(p for law in acting for p in law.parameters), THRUST_LIMIT)
-        values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in named)
+        given = r.system.law_parameters
+        values = [f"{p.name} {given[p.name]:g}" for law in acting for p in law.parameters]
+        limit = given[THRUST_LIMIT.name]
+        values.append(f"{THRUST_LIMIT.name} {limit:g}" if limit else "without a limit")
         lines.append(f"feedback      {', '.join(values)}")
     if r.versions:
         lines.append(f"simulated by  {', '.join(r.versions)}")
