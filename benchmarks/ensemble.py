@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks import heyoka_peer, problems
 from benchmarks.processes import ROOT, environment
 from tss_ros.core import IntegrationError, State, initial_state
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 CASES = ("A1", "B1")
 COUNT, SEED = 1000, 13

@@ -16,7 +16,7 @@ import time
 import numpy as np
 
 from tss_ros.core import averaged_state, ring
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 BEADS = (3, 10, 30, 100, 300, 1000, 3000, 10_000)
 RATE, TETHER_KG, STEPS = -10.0, 10.0, 30

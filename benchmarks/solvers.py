@@ -3,7 +3,7 @@
 from collections import namedtuple
 
 from benchmarks import array_peers, heyoka_peer, peers, variations
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.shooting import integrate_turn
 
 #: make(problem, tolerance, **options) gives a function that runs the case; events: whether it

@@ -74,7 +74,7 @@ def test_a_recording_has_the_law_and_every_parameter_of_laws(tmp_path):
     values = {p.name: p.maximum for p in LAW_PARAMETERS}
     gentle = {"drag_m2_per_kg": 1e-12, "rotation_damping_n_s_per_m": 1e-3,
               "shape_keeping_n_per_m": 1e-6, "eccentricity": 0.01,
-              "solar_pressure_m2_per_kg": 1e-3}  # fmt: skip
+              "solar_pressure_m2_per_kg": 1e-3, "reel_damping_n_s_per_m": 0.0}  # fmt: skip
     system = ring(tether_law="stiffening", **(values | gentle))
     recording = record(tmp_path / "bag", system, 0.01)
     assert recording.tether_law == "stiffening"

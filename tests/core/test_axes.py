@@ -30,7 +30,7 @@ from tss_ros.core import (
 from tss_ros.core.model.axes import apart_deg, spin_axis_of
 from tss_ros.core.model.formations import Satellite, Tether, assemble
 from tss_ros.core.model.frames import turn_to
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.follow import follow
 from tss_ros.core.stability.mode_shapes import mode_motion
 from tss_ros.core.stability.parallel import FloquetJob

@@ -17,7 +17,7 @@ from tss_ros.core import (
     with_parameter,
 )
 from tss_ros.core.model.symmetry import cyclic_symmetry
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.shooting import carried_motion, to_scaled
 

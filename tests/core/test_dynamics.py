@@ -25,7 +25,7 @@ from tss_ros.core.model import forces
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion import integrate
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.scenarios import scenario
 
 

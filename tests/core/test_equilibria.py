@@ -38,7 +38,7 @@ from tss_ros.core import (
 from tss_ros.core.model.equilibria import equilibrium
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.confirmation import UndisturbedMotion
 
 #: Stiff and light: the closed forms are those of tethers that do not stretch.

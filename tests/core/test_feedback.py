@@ -22,7 +22,7 @@ from tss_ros.core import (
 )
 from tss_ros.core.model import forces
 from tss_ros.core.model.feedback import analysed, thrust
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 SPIN = -2.5
 #: What the satellites do, alone and together, without a limit and far beyond it.
@@ -201,7 +201,7 @@ def test_no_thrust_exceeds_its_limit():
 
 def test_what_feedback_cannot_do_is_refused():
     system = a_ring(**GAINS["both"])
-    with pytest.raises(TssError, match="'taylor' needs forces .* feedback couples all satellites"):
+    with pytest.raises(TssError, match="'taylor' needs forces .* thrusters or reels follow laws"):
         Integrator(system, system.spin_rate_rad_s(SPIN), 1e-9, 1e4, integrator="taylor")
     tilted = replace(system, spin_axis=[0.6, 0.0, 0.8])
     with pytest.raises(TssError, match=r"orbit normal, \[0, 0, 1\], but spin_axis is \[0.6, 0"):

@@ -19,7 +19,7 @@ from tss_ros.core import (
     ring,
     tether_state,
 )
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.shooting import integrate_turn
 

@@ -22,7 +22,7 @@ from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
 from tss_ros.core.model.stated import acceleration_of, tension_of
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion import taylor_motion
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.expressions import add, symbol, symbols
 

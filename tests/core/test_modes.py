@@ -23,7 +23,7 @@ from tss_ros.core import (
     name_resonance,
     ring,
 )
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.mean_model import mean_modes
 
 #: Stiff tethers in linear gravity, as the closed forms have them.
@@ -197,5 +197,5 @@ def test_verdicts_show_the_number_that_decided():
 
 def test_modes_of_another_system_are_refused():
     result = compute_floquet(ring(), -2.5, certify=False)
-    with pytest.raises(TssError, match="the result has vectors of 3 beads, the system has 4"):
+    with pytest.raises(TssError, match="vectors of 3 beads and reels that yield, the system has 4"):
         compute_modes(ring(satellites=4), result)

@@ -31,7 +31,7 @@ from tss_ros.core.model.laws.drag import EARTH_RATE_RAD_S
 from tss_ros.core.model.laws.oblateness import EQUATORIAL_RADIUS_M
 from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 J2 = 1.08263e-3
 ELLIPSE = {"eccentricity": 0.3, "true_anomaly_deg": 40.0}

@@ -145,7 +145,7 @@ from differences import assert_variations_are_differences, differences
 from tss_ros.core import Propagator, State, compute_floquet, disturbed, ring
 from tss_ros.core.model import forces
 from tss_ros.core.model.feedback import analysed, thrust
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 system = ring(damping_n_s_per_m=1000.0, my_force_n=0.1, my_width_m_s=4e-4)
 result = compute_floquet(system, -2.9, certify=False)

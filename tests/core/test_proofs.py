@@ -23,7 +23,7 @@ from tss_ros.core import (
 )
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.model.symmetry import cyclic_symmetry
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.proofs import liouville_error, segment_error
 from tss_ros.core.stability.shooting import integrate_turn
 from tss_ros.scenarios import scenario

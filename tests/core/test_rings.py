@@ -18,7 +18,8 @@ from tss_ros.core import (
 from tss_ros.core.model.frames import rigid_velocity
 from tss_ros.core.motion import displacements
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator, Propagator
+from tss_ros.core.motion.integrator import Integrator
+from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.numerics.arnoldi import arnoldi
 from tss_ros.core.stability.families import nearest_motion
 from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance

@@ -20,7 +20,7 @@ from tss_ros.core import (
 from tss_ros.core.model import forces
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 RATE, PUSH_M = -2.3, 10.0
 

@@ -19,7 +19,7 @@ from benchmarks import (
     worker,
 )
 from tss_ros.core import initial_state
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.shooting import closure
 
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import yaml
 
+from tss_ros import core
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.wrenches import read_commands
-from tss_ros.core import ReelControl, TssError, ring
-from tss_ros.core.stability import reel_control
+from tss_ros.core import TssError, ring
+from tss_ros.core.motion.integrator import Integrator
+from tss_ros.core.stability import shooting
 from tss_ros.scenarios import scenario
 from tss_ros.simulator import straight
 from tss_ros.simulator.reel_commands import RATE, TARGET, Limits, ReelCommand
@@ -17,14 +19,15 @@ from tss_ros.simulator.simulation import Simulation
 from tss_ros.sweeps.ensemble import ensemble
 
 S = 10**9
-LAW = {"damping_n_s_per_m": 1000.0, "stiffness_n_per_m": 1.0}
+LAW = {"reel_damping_n_s_per_m": 1000.0, "reel_sample_s": 2.0}
+ALWAYS = {"reel_damping_n_s_per_m": 1000.0}
 STAR = {"formation": "ring", "spin_rate_ratio": -2.9, "damping_n_s_per_m": 0.0}
 RUN = {"publish_period_s": 2.0, "disturbance_m": 5.0, "disturbance_seed": 3, "turns": 0.0}
 
 
 def scenario_file(folder, law=LAW, **others):
     path = folder / "follows.yaml"
-    path.write_text(yaml.safe_dump({**STAR, "reel_control": law, **others}))
+    path.write_text(yaml.safe_dump({**STAR, **law, **others}))
     return str(path)
 
 
@@ -56,22 +59,28 @@ def rates(live):
 
 def test_the_swing_decays_as_multipliers_and_sampling_say(tmp_path):
     """What is held for h lags by h / 2: of a swing at w it damps sin(w h) / (w h) as much."""
-    system, steps = ring(damping_n_s_per_m=0.0), 800
-    loop = reel_control._Loop(system, -2.9, ReelControl(*LAW.values()), None, None)
-    plane = [i for i in range(21) if i >= 18 or i % 3 != 2]
-    rho, vectors = np.linalg.eig(loop.close()[3][np.ix_(plane, plane)])
+    system, steps = ring(damping_n_s_per_m=0.0, **ALWAYS), 800
+    result = core.compute_floquet(system, -2.9, certify=False)
+    integrator = Integrator(system, system.spin_rate_rad_s(-2.9), 1e-10, 1e4)
+    integrator = integrator.driven(result.spin_loss)
+    matrix = shooting.integrate_turn(integrator, result.state).matrix
+    plane = np.flatnonzero(integrator.real & (np.arange(len(matrix)) % 3 != 2))
+    rho, vectors = np.linalg.eig(matrix[np.ix_(plane, plane)])
     order = np.argsort(-np.abs(rho))
     np.testing.assert_allclose(np.abs(rho[order[6:9]]), 0.1136, atol=2e-4)
-    swings = order[9:]  # of three shapes, a pair of each
+    swings = order[9:15]  # of three shapes, a pair of each
 
     def seen(sample, sign):
         """By left eigenvectors: how much there is of each multiplier."""
-        rests = sample.states.rest_length_m[sample.row]
-        motion = sign * np.ravel([sample.velocity_m_s, sample.position_m])
-        return np.linalg.inv(vectors) @ (np.append(motion, rests) / loop.unit)[plane]
+        rests = sample.alone
+        state = core.State(
+            sign * sample.position_m, sign * sample.velocity_m_s,
+            reel_length_m=rests.rest_length_m[0], reel_rate_m_s=rests.rest_rate_m_s[0],
+        )  # fmt: skip
+        return np.linalg.inv(vectors) @ shooting.to_scaled(integrator, state)[plane]
 
     period_s = system.period_s(-2.9) / steps
-    law, run = {**LAW, "sample_s": 2.0 * period_s}, RUN | {"disturbance_m": 0.0}
+    law, run = {**LAW, "reel_sample_s": 2.0 * period_s}, RUN | {"disturbance_m": 0.0}
     live = simulation(setup_in(tmp_path, law, run | {"publish_period_s": period_s}))
     taken(live, steps + 1)
     live.save(str(tmp_path / "settled.npz"))
@@ -91,7 +100,7 @@ def test_the_swing_decays_as_multipliers_and_sampling_say(tmp_path):
 
 
 def test_every_sample_gives_the_rate_of_the_law_until_the_next(tmp_path):
-    law = {**LAW, "stiffness_n_per_m": 7.0, "tension_n": 1.5, "sample_s": 6.0}
+    law = {**LAW, "reel_stiffness_n_per_m": 7.0, "reel_tension_n": 1.5, "reel_sample_s": 6.0}
     live = simulation(setup_in(tmp_path, law, beads_per_tether=1, deployed_m=8000.0))
     samples = taken(live, 30)
     changes = {change.time: change.commands.reel for change in live.take_changes()}
@@ -118,7 +127,7 @@ def test_every_sample_gives_the_rate_of_the_law_until_the_next(tmp_path):
 ])  # fmt: skip
 @pytest.mark.parametrize("every", [1, 5])
 def test_straight_runs_and_runs_made_again_are_the_same_bit_for_bit(tmp_path, more, every):
-    setup = setup_in(tmp_path, {**LAW, "sample_s": 2.0 * every}, **more)
+    setup = setup_in(tmp_path, {**LAW, "reel_sample_s": 2.0 * every}, **more)
     live, count = simulation(setup, 0.1), 109
     samples = taken(live, count)
     assert live.at_end
@@ -138,7 +147,7 @@ def test_straight_runs_and_runs_made_again_are_the_same_bit_for_bit(tmp_path, mo
 
 def test_a_law_at_rest_says_nothing_and_a_failure_keeps_its_time(tmp_path):
     """Rates of 0 are no news: what came to act earlier than the first one stays as it is."""
-    law = {"damping_n_s_per_m": 1e15, "stiffness_n_per_m": 0.0, "sample_s": 20.0}
+    law = {"reel_damping_n_s_per_m": 1e12, "reel_stiffness_n_per_m": 0.0, "reel_sample_s": 20.0}
     setup = setup_in(tmp_path, law, failures=[{"at_s": 13.0, "cut": "tether_2"}])
     live = simulation(setup, 0.05)
     samples = taken(live, 55)
@@ -150,7 +159,7 @@ def test_a_law_at_rest_says_nothing_and_a_failure_keeps_its_time(tmp_path):
 
 def test_snapshots_and_resets_go_on_with_the_law(tmp_path):
     file = str(tmp_path / "mid.npz")
-    setup = setup_in(tmp_path, {**LAW, "sample_s": 14.0}, beads_per_tether=1)
+    setup = setup_in(tmp_path, {**LAW, "reel_sample_s": 14.0}, beads_per_tether=1)
     live = simulation(setup)
     first = taken(live, 17)
     live.commands.post(ReelCommand(60 * S, 1, TARGET, ((0.0, 9_999.0, 0.5),)))
@@ -166,8 +175,9 @@ def test_snapshots_and_resets_go_on_with_the_law(tmp_path):
     assert same(taken(live, 17), first)
     live.reset(time=True)
     assert live.newest.time_ns == 0 and same([live.take()], first[-1:])
-    with pytest.raises(TssError, match="another reel_control"):
-        simulation(setup_in(tmp_path, {**LAW, "sample_s": 12.0}, beads_per_tether=1)).restore(file)
+    with pytest.raises(TssError, match="another reel_sample_s"):
+        others = setup_in(tmp_path, {**LAW, "reel_sample_s": 12.0}, beads_per_tether=1)
+        simulation(others).restore(file)
     content = dict(np.load(file))
     for damage in (np.array([8]), np.array([0]), np.array([], dtype=np.int64)):
         np.savez(tmp_path / "damaged.npz", **content | {"commands_law_left": damage})
@@ -176,7 +186,7 @@ def test_snapshots_and_resets_go_on_with_the_law(tmp_path):
 
 
 def test_samples_keep_their_times_when_a_motion_is_disturbed(tmp_path):
-    live = simulation(setup_in(tmp_path, {**LAW, "sample_s": 10.0}))
+    live = simulation(setup_in(tmp_path, {**LAW, "reel_sample_s": 10.0}))
     taken(live, 4)
     live.disturb(0.1, 0.0)
     taken(live, 9)
@@ -201,9 +211,10 @@ def test_a_command_takes_its_reel_from_the_law_until_a_reset(tmp_path):
 
 
 def test_the_law_keeps_the_limits_of_reels(tmp_path):
-    law = {**LAW, "tension_n": -500.0, "stiffness_n_per_m": 0.0}
+    law = {"reel_damping_n_s_per_m": 1.0, "reel_stiffness_n_per_m": 0.0, "reel_tension_n": 1e-9}
+    law["reel_sample_s"] = 2.0
     given = {"reel_rate_limit_m_s": 0.1, "reel_longest_m": 10_001.0}
-    live = simulation(setup_in(tmp_path, law, RUN | given))
+    live = simulation(setup_in(tmp_path, law, RUN | given, spin_rate_ratio=-29.0))
     taken(live, 4)
     assert (rates(live) == 0.1).all()
     live.set_timeout(0.0, Limits(0.2, 1.0, 10_001.0))
@@ -214,40 +225,85 @@ def test_the_law_keeps_the_limits_of_reels(tmp_path):
     words = ["three_star", "--turns=1", f"--output={tmp_path}/bag", "--reel-shortest-m=0.1"]
     with pytest.raises(SystemExit):
         straight.parse(words)
-    pulls = {**law, "tension_n": 1e9}
+    pulls = {**law, "reel_tension_n": 1e9}
     live = simulation(setup_in(tmp_path, pulls, RUN | {"reel_rate_limit_m_s": 0.0}))
     taken(live, 2)
     assert (rates(live) == -1000.0).all(), "no command is faster"
 
 
 @pytest.mark.parametrize("change, said", [
-    ({"reel_control": 5}, "reel_control must"),
-    ({"reel_control": {"damping_n_s_per_m": 1.0}}, "reel_control lacks"),
-    ({"reel_control": {**LAW, "dampng": 1.0}}, "dampng"),
-    ({"reel_control": {**LAW, "damping_n_s_per_m": 0.0}},
-     "reel_control: damping_n_s_per_m must be greater than 0, got 0"),
-    ({"reel_control": {**LAW, "stiffness_n_per_m": -1.0}},
-     "reel_control: stiffness_n_per_m must be at least 0, got -1"),
-    ({"reel_control": {**LAW, "tension_n": "much"}}, "tension_n must be a number, got 'much'"),
-    ({"reel_control": {**LAW, "sample_s": 0.0}}, "reel_control.sample_s must be greater than 0"),
+    ({"reel_damping_n_s_per_m": -1.0}, "reel_damping_n_s_per_m must be at least 0, got -1"),
+    ({"reel_stiffness_n_per_m": "much"}, "reel_stiffness_n_per_m must be a number, got 'much'"),
+    ({"reel_mass_kg": 0.0}, "reel_mass_kg must be at least 0.001, got 0"),
+    ({"reel_sample_s": 0.0}, "reel_sample_s must be greater than 0, got 0"),
+    ({"reel_sample_s": "often"}, "reel_sample_s must be a number, got 'often'"),
     ({"reels": {"all": {"time_s": [0, 1], "length_m": [10e3, 9e3]}}},
-     "reels and reel_control are given; allowed: profiles of reels, or their law"),
+     "reels are given and reel_damping_n_s_per_m is 1000; allowed: profiles, or their law"),
     ({"shape_keeping_n_per_m": 0.001}, "shape_keeping_n_per_m keeps one shape"),
-    ({"reel_control": {**LAW, "sample_s": 5.0}},
-     "reel_control.sample_s is 5 s; allowed: whole multiples of publish_period_s, 2 s, as 4 or 6"),
-    ({"reel_control": {**LAW, "sample_s": 0.5}}, "publish_period_s, 2 s, as 2"),
+    ({"reel_sample_s": 5.0},
+     "reel_sample_s is 5 s; allowed: whole multiples of publish_period_s, 2 s, as 4 or 6"),
+    ({"reel_sample_s": 0.5}, "publish_period_s, 2 s, as 2"),
+    ({"reel_sample_s": None, "deployed_m": 5e3},
+     "deployed_m is given and reel_damping_n_s_per_m is 1000; allowed: the whole length, or"
+     " reel_sample_s"),
+    ({"reel_sample_s": None, "failures": [{"at_s": 1.0, "dead": "tether_1"}]},
+     "actuator is 'tether_1', a reel that follows tension all the time"),
 ])  # fmt: skip
 def test_what_is_wrong_is_named(tmp_path, change, said):
     with pytest.raises(TssError) as caught:
-        setup_in(tmp_path, **{"law": change.pop("reel_control", LAW), **change})
+        setup_in(tmp_path, {k: v for k, v in {**LAW, **change}.items() if v is not None})
     assert said in str(caught.value)
 
 
 def test_a_multiple_of_a_period_with_digits_is_one(tmp_path):
-    setup = setup_in(tmp_path, {**LAW, "sample_s": 0.3}, RUN | {"publish_period_s": 0.1})
-    assert setup.reels.every == 3
-    assert scenario.load(scenario_file(tmp_path)).reels.control == ReelControl(1000.0, 1.0)
+    law = {**LAW, "reel_sample_s": 0.3}
+    assert setup_in(tmp_path, law, RUN | {"publish_period_s": 0.1}).reels.every == 3
+    assert scenario.load(scenario_file(tmp_path)).reels.sample_s == 2.0
     with pytest.raises(
         TssError, match="has reels that move or are out in part; allowed: reels at rest"
     ):
         ensemble(scenario_file(tmp_path), (-3.0, -2.9, 2), [1.0], (0, 1), 1)
+
+
+def test_a_law_that_acts_all_the_time_is_part_of_the_motion(tmp_path):
+    """Live, straight, out of a snapshot and in the core: the same motion, rest lengths included."""
+    setup = setup_in(tmp_path, ALWAYS, failures=[{"at_s": 151.0, "cut": "tether_2"}])
+    live = simulation(setup, 0.1)
+    samples = taken(live, 60)
+    live.save(str(tmp_path / "mid.npz"))
+    samples += taken(live, 49)
+    straight.simulate(setup, 0.1, tmp_path / "bag")
+    bag = read_bag(tmp_path / "bag")
+    assert np.array_equal(bag.position_m, motion(samples)[0])
+    rests = np.array([s.alone.rest_length_m[0] for s in samples])
+    assert np.array_equal(bag.rests_m, rests)
+    assert np.ptp(rests[:, 0]) > 0.05 and not rests[76:, 1].any() and rests[75, 1]
+    other = simulation(setup, 0.1)
+    other.restore(str(tmp_path / "mid.npz"))
+    assert same(taken(other, 50)[1:], samples[60:])
+    whole = core.simulate(
+        setup.system, -2.9, turns=0.1, period_s=2.0, state=setup.start,
+        failures=setup.failures,
+    )  # fmt: skip
+    assert np.array_equal(whole.position_m, bag.position_m)
+    assert np.array_equal(whole.rests_m, rests)
+    assert whole.state(30).reel_length_m.tolist() == rests[30].tolist()
+
+
+def test_a_law_that_acts_all_the_time_bears_pushes_but_no_commands(tmp_path):
+    live = simulation(setup_in(tmp_path, ALWAYS, RUN | {"publish_period_s": 0.01}))
+    taken(live, 100)
+    before = live.newest.alone
+    live.disturb(0.01, 0.0)
+    after = live.newest.alone
+    assert np.array_equal(after.rest_length_m, before.rest_length_m)
+    assert np.array_equal(after.rest_rate_m_s, before.rest_rate_m_s)
+    speeds, accelerations = [], []
+    for _ in range(4):
+        speeds.append(live.take().velocity_m_s)
+        accelerations.append(live.acceleration_m_s2)
+    expected = (speeds[3] - speeds[1]) / 0.02
+    np.testing.assert_allclose(accelerations[2], expected, atol=1e-6)
+    live.commands.post(ReelCommand(live.newest.time_ns + S, 1, RATE, ((0.0, 0.0, -0.25),)))
+    with pytest.raises(TssError, match="reel_damping_n_s_per_m moves the reels"):
+        live.take()

@@ -363,7 +363,7 @@ def test_a_scenario_begins_on_its_reels_and_flies_its_profile(start, client, tmp
 def test_a_node_obeys_a_law_and_lets_go_of_a_commanded_reel(start, client, tmp_path):
     (tmp_path / "follows.yaml").write_text(
         "formation: ring\nspin_rate_ratio: -2.9\ndamping_n_s_per_m: 0.0\n"
-        "reel_control: {damping_n_s_per_m: 1000.0, stiffness_n_per_m: 1.0, sample_s: 4.0}\n"
+        "reel_damping_n_s_per_m: 1000.0\nreel_sample_s: 4.0\n"
     )
     scenario = {"scenario": str(tmp_path / "follows.yaml"), "service_folder": "/"}
     with flown(start, client, Winch, **GIVEN, **scenario) as winch:
@@ -389,3 +389,16 @@ def test_a_node_obeys_a_law_and_lets_go_of_a_commanded_reel(start, client, tmp_p
         assert winch.sim.set(reel_rate_limit_m_s=1e-6).successful
         winch.step(2)
         assert (np.abs(seen(9)[-1, ::2]) == 1e-6).all() and seen(9)[-1, 1] == -0.5
+
+
+def test_a_node_refuses_commands_to_reels_that_follow_a_law_all_the_time(start, client, tmp_path):
+    (tmp_path / "follows.yaml").write_text(
+        "formation: ring\nspin_rate_ratio: -2.9\nreel_damping_n_s_per_m: 1000.0\n"
+    )
+    given = {"scenario": str(tmp_path / "follows.yaml"), "disturbance_m": 5.0}
+    with flown(start, client, Winch, **GIVEN | given) as winch:
+        winch.reel("tether_2", velocity=[-0.5])
+        winch.step(30)
+        winch.sim.process.wait_for_line("command refused: reel_damping_n_s_per_m moves the reels")
+        rests = np.array([m.rest_length_m for m in winch.tethers])
+        assert len(rests) >= 30 and (np.ptp(rests, axis=0) > 0.01).all()

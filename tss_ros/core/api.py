@@ -36,11 +36,6 @@ from tss_ros.core.stability.parallel import (
     FloquetJob,
     sweep,
 )
-from tss_ros.core.stability.reel_control import (
-    ReelControl,
-    ReelControlResult,
-    compute_reel_control,
-)
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import METHODS, VERDICTS, FloquetResult, in_words
 from tss_ros.core.stability.special_curves import CurvePoint, SpecialCurve, follow_special
@@ -79,8 +74,6 @@ __all__ = [
     "ModeMotion",
     "NoSteadyState",
     "Propagator",
-    "ReelControl",
-    "ReelControlResult",
     "ReferenceOrbit",
     "FloquetJob",
     "Satellite",
@@ -95,7 +88,6 @@ __all__ = [
     "averaged_state",
     "compute_floquet",
     "compute_modes",
-    "compute_reel_control",
     "confirm",
     "deployed_system",
     "deviation",

@@ -1,9 +1,10 @@
-"""Arguments of public functions, held against their type hints: a wrong one is named."""
+"""Arguments held against type hints, and single values against bounds: a wrong one is named."""
 
 import collections.abc
 import functools
 import inspect
-import numbers
+import math
+import numbers as numeric
 import types
 import typing
 from collections.abc import Callable
@@ -98,7 +99,7 @@ def _is(value, kind):
     if whole is collections.abc.Callable:
         return callable(value)
     if whole in (float, int):
-        number = numbers.Real if whole is float else numbers.Integral
+        number = numeric.Real if whole is float else numeric.Integral
         if isinstance(value, np.ndarray) and value.ndim == 0:
             value = value[()]
         return isinstance(value, number) and not isinstance(value, bool)
@@ -144,3 +145,61 @@ def _in_words(kind):
 
 def _one(noun):
     return f"{'an' if noun[0] in 'AEIOUaeiou' else 'a'} {noun}"
+
+
+def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
+    """Return `values` as an array of numbers, itself if it is one.
+
+    Raises
+    ------
+    TssError
+        Naming the thing and its value.
+    """
+    try:
+        return np.asarray(values, dtype=kind)
+    except (TypeError, ValueError):
+        shown = f"{values!r:.80}".replace("\n", " ")
+        raise TssError(f"{name} must be an array of numbers, got {shown}") from None
+
+
+def unit_vector(name: str, value: object) -> np.ndarray:
+    """Return a vector of any length but zero as one of length 1, read-only.
+
+    Raises
+    ------
+    TssError
+        Naming the thing, its value and what is allowed.
+    """
+    vector = numbers(name, value)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise TssError(f"{name} must be three finite numbers x, y, z, got {value!r:.80}")
+    largest = np.max(np.abs(vector))
+    if not largest:
+        raise TssError(f"{name} must have a length above 0, got [0, 0, 0]")
+    vector = vector / largest
+    vector = vector / np.linalg.norm(vector)
+    vector.flags.writeable = False
+    return vector
+
+
+def finite(
+    name: str, value: object, above: float | None = None, at_least: float | None = None
+) -> float:
+    """Return `value` as a finite float within its bounds.
+
+    Raises
+    ------
+    TssError
+        Naming the thing, its value and what is allowed.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TssError(f"{name} must be a number, got {value!r}") from None
+    if not math.isfinite(number):
+        raise TssError(f"{name} must be a finite number, got {number}")
+    if above is not None and not number > above:
+        raise TssError(f"{name} must be greater than {above:g}, got {number:g}")
+    if at_least is not None and not number >= at_least:
+        raise TssError(f"{name} must be at least {at_least:g}, got {number:g}")
+    return number

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
@@ -23,8 +23,9 @@ from tss_ros.core.model.failures import (
 )
 from tss_ros.core.model.forces import elastic_energy, pushing_share, tether_state
 from tss_ros.core.model.frames import as_turned
+from tss_ros.core.model.reel_law import reels_that_yield
 from tss_ros.core.model.reel_plans import rests_over
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.presentation import Presented, data_frame, found, turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
@@ -259,7 +260,11 @@ class Trajectory(SampledMotion, Stored):
 
     def state(self, index: int = -1) -> State:
         """One of the states, the last one if not said which."""
-        return State(self.position_m[index], self.velocity_m_s[index])
+        reels = {}
+        if (moving := reels_that_yield(self.system)).size:
+            reels["reel_length_m"] = self.rests_m[index, moving]
+            reels["reel_rate_m_s"] = self.rest_rates_m_s[index, moving]
+        return State(self.position_m[index], self.velocity_m_s[index], **reels)
 
     def _facts(self):
         return super()._facts() | {"slack/taut switches": self.switches}
@@ -356,7 +361,8 @@ def _with_failures(system, again, acting, t_s, cancelled):
         position_m, velocity_m_s = propagator.sample(t_s, cancelled)
         # A motion begins with what acts from time 0 on.
         begun = [(-1.0, commands) for edge, commands in acting if edge <= 0.0]
-        rests = rests_over(system, [*begun[-1:], *(c for c in acting if c[0] > 0.0)], t_s)
+        edges = [*begun[-1:], *(change for change in acting if change[0] > 0.0)]
+        rests = rests_over(system, edges, t_s, propagator.rests)
         length_m, tension_n, taut = tether_state(system, position_m, velocity_m_s, rests)
         row, found = watch.look(tension_n[seen:], taut[seen:])
         seen += row

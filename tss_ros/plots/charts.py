@@ -241,8 +241,13 @@ def stability_map(
         axes.set_xlim(-0.5, len(labels) - 0.5)
     else:
         values = np.unique(np.concatenate([points[0], critical[0]]))
-        if values.size > 2 and values[0] > 0 and values[-1] >= LOGARITHMIC * values[0]:
-            axes.set_xscale("log")
+        above = values[values > 0]
+        wide = above.size > 1 and values[0] >= 0 and above[-1] >= LOGARITHMIC * above[0]
+        if wide and values.size > 2:
+            if above.size < values.size:
+                axes.set_xscale("symlog", linthresh=above[0], linscale=0.3)
+            else:
+                axes.set_xscale("log")
             axes.xaxis.set_major_formatter(ScalarFormatter())
             if values.size <= MOST_TICKS:
                 axes.set_xticks(values, [f"{value:g}" for value in values], minor=False)

@@ -16,11 +16,12 @@ from tss_ros.core import FloquetResult, State, System
 from tss_ros.core.model.commands import FRAMES
 from tss_ros.core.model.feedback import thrust
 from tss_ros.core.model.frames import Z_AXIS, turn_about
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.scenarios import scenario
 
 #: Parameters of the laws that are varied.
 DAMPING, KEEPING = "rotation_damping_n_s_per_m", "shape_keeping_n_per_m"
+REELS = "reel_damping_n_s_per_m"
 #: The paper's six beads: rate over Omega, C of the tethers [N s/m], and the scenario of that ring
 #: with another C; gains tried [N s/m], and the one that is watched.
 RATE, TETHER_DAMPING, SHIPPED = -2.9, 100.0, "six_bead"
@@ -31,9 +32,11 @@ WATCHED = 20.0
 PUSH_M, TURNS, SAMPLES, SETTLED = 10.0, 200, 40, 0.1
 #: Damping of tethers that is tried instead [N s/m], and changes of all masses.
 TETHERS, MASSES = (1e2, 1e3, 1e4, 1e5), (0.8, 0.9, 1.0, 1.1, 1.2)
-#: Rings whose reels follow tension: satellites and rate; damping [N s/m] and stiffness [N/m].
+#: Rings whose reels follow tension: satellites and rate; damping of the reels [N s/m].
 REELED = ((3, -2.9), (5, -4.5))
-REEL_DAMPINGS, REEL_STIFFNESS = (100.0, 1000.0, 10000.0, 100000.0), 1.0
+REEL_DAMPINGS = (1e2, 2e2, 5e2, 1e3, 2e3, 5e3, 1e4, 2e4, 5e4, 1e5)
+#: Motions of the first of these rings: dampings of the reels, 0 for fixed ones, pushes [m], turns.
+REELS_WATCHED, REELS_PUSHES_M, REELS_TURNS = (0.0, 1e4, 1e3), (0.1, 5.0), 12
 #: A controller that samples: gains [N s/m], periods and delays [s], push [m], most turns, and the
 #: swing [m] at which a motion is given up.
 SAMPLED_GAINS, PERIODS_S = (5.0, WATCHED, 50.0), (20.0, 40.0, 80.0)
@@ -300,14 +303,32 @@ def rigid_gain(system: System, ratio: float) -> float:
     return share * float(system.mass_kg[0]) * system.orbit_rate_rad_s
 
 
-def reels(stopped: Callable[[], bool]) -> list[dict[str, Any]]:
+def reeled(satellites: int, damping: float) -> System:
+    """A ring of undamped tethers whose reels follow tension, with a damping of the reels."""
+    return core.ring(satellites, damping_n_s_per_m=0.0, **{REELS: damping})
+
+
+def reels(stopped: Callable[[], bool]) -> dict[str, Any]:
     """What reels that follow the tension of undamped tethers do, over the damping of the reels."""
-    rows = []
+    rows, motions, (first, at) = [], {}, REELED[0]
+    for damping in REELS_WATCHED:
+        ring = reeled(first, damping)
+        start = core.compute_floquet(ring, at, certify=False, cancelled=stopped).state
+        shown = {"turns": REELS_TURNS, "cancelled": stopped}
+        calm, *moved = (
+            core.simulate(ring, at, state=start, disturbance_m=push, seed=1, **shown).length_m
+            for push in (0.0, *REELS_PUSHES_M)
+        )
+        for push, length_m in zip(REELS_PUSHES_M, moved):
+            apart = np.max(np.abs(length_m - calm), axis=1)[1:].reshape(REELS_TURNS, -1)
+            motions[push, damping] = np.max(apart, axis=1)
     for satellites, rate in REELED:
-        ring = core.ring(satellites=satellites, damping_n_s_per_m=0.0)
         for damping in REEL_DAMPINGS:
-            control = core.ReelControl(damping, REEL_STIFFNESS)
-            found = core.compute_reel_control(ring, rate, control, cancelled=stopped)
-            row = {"satellites": satellites, "rate": rate, "damping": damping}
-            rows.append(row | {"found": found})
-    return rows
+            ring = reeled(satellites, damping)
+            found = core.compute_floquet(ring, rate, certify=False, cancelled=stopped)
+            turn = core.simulate(ring, rate, turns=1, state=found.state, cancelled=stopped)
+            rows.append({
+                "satellites": satellites, "rate": rate, "damping": damping, "found": found,
+                "stroke": float(np.max(np.ptp(turn.rests_m, axis=0))),
+            })  # fmt: skip
+    return {"rows": rows, "motions": motions}

@@ -38,6 +38,7 @@ from tss_ros.reproduction.feedback import (
     three_star,
 )
 from tss_ros.reproduction.pages import compute, page_command, picture, table
+from tss_ros.reproduction.reels_report import reels_figure, reels_that_yield
 
 # -- pictures --------------------------------------------------------------------------------------
 
@@ -128,7 +129,8 @@ WORK = {
 }  # fmt: skip
 FIGURES = {
     "gains": (gains_figure, "gains"), "multipliers": (multipliers_figure, "gains"),
-    "settling": (settling_figure, "settling"), "delays": (delays_figure, "delays"),
+    "settling": (settling_figure, "settling"), "reels": (reels_figure, "reels"),
+    "delays": (delays_figure, "delays"),
     "slow": (slow_figure, "slow"),
 }  # fmt: skip
 
@@ -262,38 +264,8 @@ def _limits(found):
             ],
         ),
         "Tethers damp best in the plane at a middling C, too: a stiff damper lets nothing stretch.",
-        *_reels(found["reels"]),
+        *reels_that_yield(found["reels"]),
     ]
-
-
-def _reels(rows):
-    def modulus(found, in_plane):
-        value = found.largest("shape", in_plane)
-        return "-" if math.isnan(value) or found.verdict == "none found" else f"{value:.6f}"
-
-    return [
-        "## What reels can do",
-        "A reel that gives way to the tension of its tether, c L' = T - T_0 - k (L - L_0), damps"
-        " what stretches tethers. Here tethers have no damping of their own, so that all shapes"
-        f" are neutral without reels. T_0 is the mean of the steady tension, k is"
-        f" {feedback.REEL_STIFFNESS:g} N/m. Rest lengths are part of the state; each adds a"
-        " multiplier, which counts as shape (`core.compute_reel_control`).",
-        table(
-            ("satellites", "rate [Ω]", "c [N s/m]", "verdict", "slowest |ρ| in the plane",
-             "largest |ρ| of the shape out of it", "stroke [m]"),
-            [
-                (str(row["satellites"]), f"{row['rate']:g}", f"{row['damping']:g}",
-                 row["found"].verdict, modulus(row["found"], True), modulus(row["found"], False),
-                 f"{max(row['found'].stroke_m):.2g}")
-                for row in rows
-            ],
-        ),
-        "Three satellites have no shape out of the plane but the tilt, so that reels alone make"
-        " them asymptotically stable. Five have waves out of the plane. Reels leave them as they"
-        " are. Where none was found, Newton's method did not close a motion, and nothing is said.",
-        "Scenarios name the law for simulations, where a controller samples:"
-        " [Let reels follow tension](howto/control.md#let-reels-follow-tension).",
-    ]  # fmt: skip
 
 
 def _slow(found):

@@ -7,8 +7,8 @@ failures:
 """
 
 from tss_ros.core import Failure, TssError
+from tss_ros.core.arguments import finite
 from tss_ros.core.model.failures import KINDS
-from tss_ros.core.model.system import finite
 from tss_ros.scenarios import files
 
 #: Most failures of a scenario.

@@ -9,13 +9,13 @@ is out at time 0, the first length of its profile if it is not given, and all of
 profile. Between the points of a profile are straight lines, or cubics if it has `rate_m_s`. It is
 flown unless another command to its reel comes.
 
-Instead of profiles all reels may follow the tension of their tethers, `tss_ros.core.ReelControl`,
-as a controller makes them that samples:
+Instead of profiles all reels may follow the tension of their tethers, `core.model.laws.reel`:
 
-    reel_control: {damping_n_s_per_m: 1000.0, stiffness_n_per_m: 1.0, tension_n: 5.0, sample_s: 2.0}
+    reel_damping_n_s_per_m: 1000.0
+    reel_sample_s: 2.0
 
-`tension_n` is the mean of the steady tension next to the reels if it is not given, `sample_s` the
-time between published states.
+With `reel_sample_s` a controller does that which measures so often, and commands the rate until the
+next time; then lengths may be out in part. Without it the law acts all the time.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tss_ros.core import ReelControl, System, TssError
+from tss_ros.core import System, TssError
+from tss_ros.core.arguments import finite
 from tss_ros.core.model.reel_plans import reel_profile
 from tss_ros.core.model.reels import deployed_lengths, reel_index, reel_names
-from tss_ros.core.model.system import finite
 from tss_ros.scenarios.files import check_keys
 
 #: The keys of a scenario.
-KEYS = ("deployed_m", "reels", "reel_control")
+KEYS = ("deployed_m", "reels", "reel_sample_s")
 #: What stands for every tether.
 ALL = "all"
 #: How far a profile may begin from what is out [m].
@@ -56,15 +56,12 @@ class Reels:
     ----------
     deployed_m : dict of str to float
     profiles : dict of str to Profile
-    control : ReelControl or None
-        The law of all reels.
     sample_s : float or None
-        Time between its samples; None: the time between published states.
+        [s] between two samples of the law of reels; None: it acts all the time, if there is one.
     """
 
     deployed_m: Mapping[str, float]
     profiles: Mapping[str, Profile]
-    control: ReelControl | None = None
     sample_s: float | None = None
 
     def of(self, system: System) -> tuple[np.ndarray, dict[int, Profile]]:
@@ -111,24 +108,10 @@ def read_reels(content: Mapping[str, Any]) -> Reels | None:
             f"reels must be a mapping of tethers, or {ALL}, to profiles, got {profiles!r:.80}"
         )
     flown = {str(name): _profile(name, entry) for name, entry in profiles.items()}
-    if KEYS[2] not in content:
-        return Reels(lengths, flown)
-    if flown:
-        raise TssError("reels and reel_control are given; allowed: profiles of reels, or their law")
-    return Reels(lengths, flown, *_control(KEYS[2], content[KEYS[2]]))
-
-
-def _control(where, entry):
-    """The law, and the time between its samples [s] if that is given."""
-    check_keys(where, entry, {"damping_n_s_per_m", "stiffness_n_per_m"}, {"tension_n", "sample_s"})
-    given = dict(entry)
-    sample_s = given.pop("sample_s", None)
+    sample_s = content.get(KEYS[2])
     if sample_s is not None:
-        sample_s = finite(f"{where}.sample_s", sample_s, above=0.0)
-    try:
-        return ReelControl(**given), sample_s
-    except TssError as error:
-        raise TssError(f"{where}: {error}") from None
+        sample_s = finite(KEYS[2], sample_s, above=0.0)
+    return Reels(lengths, flown, sample_s)
 
 
 def _profile(name, entry):

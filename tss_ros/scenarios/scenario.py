@@ -23,7 +23,7 @@ Instead of its elements the orbit may be given by `two_line_elements`, a list of
 `orbit_state`, a mapping of `position_m` and `velocity_m_s` of the centre in the inertial frame.
 
 What is to fail during a simulation is listed by `failures`; see `tss_ros.scenarios.failures`.
-Tethers may begin on their reels, and reels may move: `deployed_m`, `reels` and `reel_control`, see
+Tethers may begin on their reels, and reels may move: `deployed_m`, `reels` and `reel_sample_s`, see
 `tss_ros.scenarios.reels`.
 """
 
@@ -45,9 +45,10 @@ from tss_ros.core import (
     assemble,
     formation,
 )
+from tss_ros.core.arguments import finite
 from tss_ros.core.errors import near_match
 from tss_ros.core.model.configurations import InitialState
-from tss_ros.core.model.system import finite
+from tss_ros.core.model.reel_law import with_fixed_reels
 from tss_ros.scenarios import files, orbits
 from tss_ros.scenarios.doubts import ImplausibleValue, doubts
 from tss_ros.scenarios.failures import read_failures
@@ -228,9 +229,11 @@ def load(name_or_path: str | Path) -> Scenario:
     try:
         scenario = _parse(text, content)
         system = scenario.build()
+        sampled = scenario.reels and scenario.reels.sample_s
+        obeys = with_fixed_reels(system) if sampled else system
         for i, failure in enumerate(scenario.failures):
             try:
-                failure.check(system)
+                failure.check(obeys)
             except TssError as error:
                 raise TssError(f"failures[{i}]: {error}") from None
         if scenario.reels:

@@ -15,7 +15,8 @@ from tss_ros.simulator.backpressure import FlowControl, Logger
 from tss_ros.simulator.pacing import MAX_LAG_S, Meter, Pace
 from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import Sample, Simulation
+from tss_ros.simulator.simulation import Simulation
+from tss_ros.simulator.trajectory import Sample
 
 #: Most steps that one request may ask for.
 MOST_STEPS = 10_000

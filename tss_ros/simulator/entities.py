@@ -21,8 +21,7 @@ from simulation_interfaces.msg import (
 from simulation_interfaces.srv import SetEntityState
 from std_msgs.msg import Header
 
-from tss_ros.core import State, System, TssError
-from tss_ros.core.motion.commanded import commanded_acceleration
+from tss_ros.core import System, TssError
 from tss_ros.ros.messages import stamp
 from tss_ros.simulator.control import Code, Refused
 from tss_ros.simulator.simulation import Simulation
@@ -95,12 +94,8 @@ def info(system: System, index: int) -> EntityInfo:
 
 def states(simulation: Simulation, indices: Iterable[int], frame_id: str) -> list[EntityState]:
     """States of entities, as messages."""
-    system, sample = simulation.setup.system, simulation.newest
-    r, v = sample.position_m, sample.velocity_m_s
-    a = commanded_acceleration(
-        system, simulation.setup.spin_rate_ratio, simulation.acting, sample.time_ns / 1e9,
-        State(r, v),
-    )  # fmt: skip
+    sample = simulation.newest
+    r, v, a = sample.position_m, sample.velocity_m_s, simulation.acceleration_m_s2
     messages = []
     for i in indices:
         state = EntityState(header=Header(stamp=stamp(sample.time_ns), frame_id=frame_id))

@@ -11,7 +11,7 @@ from tss_ros.messages.steps import FRAME_ID
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator import odometry, sensor_topics
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.trajectory import Sample
 
 
 def check(options: Mapping[str, Any], system: System) -> None:

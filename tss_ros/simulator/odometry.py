@@ -11,7 +11,7 @@ from tss_ros.core import System, TssError
 from tss_ros.ros.messages import stamp
 from tss_ros.ros.topics import Topic, create_publisher
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.trajectory import Sample
 
 #: The topic of a satellite's odometry.
 TOPIC = "{satellite}/odom"

@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tss_ros.core import ReelControl, System, TssError
+from tss_ros.core import System, TssError
 from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
-from tss_ros.core.model.reels import LEAST_M, NEVER_M
+from tss_ros.core.model.laws.reel import REEL_DAMPING
+from tss_ros.core.model.reels import LEAST_M, NEVER_M, whole_lengths
 from tss_ros.scenarios.parameters import REEL_LIMITS
+from tss_ros.scenarios.reels import Reels
 from tss_ros.scenarios.scenario import Scenario
 
 #: What a command may be: a rate, a length to be reached, or a profile, with straight lines between
@@ -112,16 +114,13 @@ class ReelStart(NamedTuple):
         Out of each of `reels.reels`.
     commands : tuple of ReelCommand
         Counted from the beginning of the run.
-    control : ReelControl or None
-        The law of all reels.
     every : int
-        Published states from one sample of the law to the next.
+        Published states from one sample of the law of all reels to the next; 0 if none is sampled.
     """
 
     length_m: tuple[float, ...]
     commands: tuple[ReelCommand, ...] = ()
-    control: ReelControl | None = None
-    every: int = 1
+    every: int = 0
 
 
 class ReelEdge(NamedTuple):
@@ -252,9 +251,22 @@ def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> Ree
     TssError
         If the scenario names tethers that the system has not, or if what it says cannot be done.
     """
-    if loaded.reels is None:
+    given = loaded.reels or Reels({}, {})
+    lengths, profiles = given.of(system)
+    every = 0
+    if damping := system.law_parameters[REEL_DAMPING.name]:
+        law = f"{REEL_DAMPING.name} is {damping:g}"
+        if profiles:
+            raise TssError(f"reels are given and {law}; allowed: profiles, or their law")
+        if given.sample_s is None:
+            if not np.array_equal(lengths, whole_lengths(system)):
+                raise TssError(
+                    f"deployed_m is given and {law}; allowed: the whole length, or reel_sample_s"
+                )
+            return None
+        every = _states_between(given.sample_s, publish_period_s)
+    elif loaded.reels is None:
         return None
-    lengths, profiles = loaded.reels.of(system)
     commands = []
     for place, profile in profiles.items():
         begun_s, rates = profile.time_s[0], profile.rate_m_s or (0.0,) * len(profile.time_s)
@@ -263,11 +275,7 @@ def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> Ree
         kind = CUBICS if profile.rate_m_s else LINES
         commands.append(ReelCommand(round(begun_s * 1e9), place, kind, points))
         commands[-1].check()
-    start = ReelStart(tuple(lengths.tolist()), tuple(commands))
-    if loaded.reels.control is None:
-        return start
-    every = _states_between(loaded.reels.sample_s or publish_period_s, publish_period_s)
-    return start._replace(control=loaded.reels.control, every=every)
+    return ReelStart(tuple(lengths.tolist()), tuple(commands), every)
 
 
 def _states_between(sample_s, publish_period_s):
@@ -278,7 +286,7 @@ def _states_between(sample_s, publish_period_s):
         below = int(share)
         near = " or ".join(f"{k * publish_period_s:.12g}" for k in (below, below + 1) if k)
         raise TssError(
-            f"reel_control.sample_s is {sample_s:.12g} s; allowed: whole multiples of"
+            f"reel_sample_s is {sample_s:.12g} s; allowed: whole multiples of"
             f" publish_period_s, {publish_period_s:.12g} s, as {near}"
         )
     return every

@@ -2,9 +2,10 @@
 
     c L' = T - T_0 - k (L - L_0)
 
-At every sample the controller measures the tension T next to a reel and the length L out, and
-commands the rate that holds until the next one. Its commands are commands like all others: they
-are limited, told and kept. A command from elsewhere takes its reel from the law.
+This is `core.model.laws.reel` without the inertia of the drum, which such a controller masters. At
+every sample it measures the tension T next to a reel and the length L out, and commands the rate
+that holds until the next one. Its commands are commands like all others: they are limited, told
+and kept. A command from elsewhere takes its reel from the law.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import math
 import numpy as np
 
 from tss_ros.core import TssError
+from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_STIFFNESS, REEL_TENSION
 from tss_ros.core.model.reels import reels
 from tss_ros.messages.steps import States
 from tss_ros.simulator.commands import CommandTable
@@ -33,8 +35,8 @@ class ReelLaw:
     Parameters
     ----------
     setup : Setup
-        What the run begins with: L_0 is what is out then, T_0 the mean of the steady tension there
-        if none is given.
+        What the run begins with: L_0 is what is out then, T_0 the steady tension next to each reel
+        there if none is given.
     acts : bool
         Whether it acts, where the setup has one.
 
@@ -48,19 +50,22 @@ class ReelLaw:
 
     def __init__(self, setup: Setup, acts: bool = True) -> None:
         self._system, start = setup.system, setup.reels
-        self._control = start.control if start and acts else None
+        self._samples = bool(start and start.every and acts)
         self.left, self.limits = math.inf, Limits()
-        if self._control is not None:
+        if self._samples:
+            values = setup.system.law_parameters
+            self._damping, self._stiffness, aim_n = (
+                values[p.name] for p in (REEL_DAMPING, REEL_STIFFNESS, REEL_TENSION)
+            )
             self.left, self._every, self._begun_m = 1, start.every, start.length_m
             self.limits = Limits.of(setup.options)
             next_to = setup.tension_n[self._next_to_reels(np.array(start.length_m))]
-            given = self._control.tension_n
-            self._aim_n = float(np.mean(next_to)) if given is None else given
+            self._aim_n = [aim_n] * len(next_to) if aim_n else next_to.tolist()
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """All that it remembers, for a snapshot."""
-        counts = [] if self._control is None else [self.left]
+        counts = [self.left] if self._samples else []
         return {"law_left": np.array(counts, dtype=np.int64)}
 
     def resume(self, arrays: dict[str, np.ndarray], limits: Limits) -> None:
@@ -71,7 +76,7 @@ class ReelLaw:
         TssError
             If what that remembered does not fit.
         """
-        left, own = arrays["law_left"].tolist(), self._control is not None
+        left, own = arrays["law_left"].tolist(), self._samples
         if len(left) != own or not all(1 <= count <= self._every for count in left):
             raise TssError(f"its law of reels has {left!r:.80} states to go")
         if own:
@@ -95,15 +100,15 @@ class ReelLaw:
         if self.left > 0:
             return False
         self.left = self._every
-        time_ns, law = int(states.time_ns[-1]), self._control
+        time_ns = int(states.time_ns[-1])
         out_m = table.at(time_ns).lengths_out(time_ns / 1e9)[0]
         tension_n = states.tension_n[-1, self._next_to_reels(out_m)].tolist()
         posted = False
         for place, length_m in enumerate(out_m.tolist()):
             if not table.reels.follows_law(place, time_ns):
                 continue
-            back_n = law.stiffness_n_per_m * (length_m - self._begun_m[place])
-            rate = (tension_n[place] - self._aim_n - back_n) / law.damping_n_s_per_m
+            back_n = self._stiffness * (length_m - self._begun_m[place])
+            rate = (tension_n[place] - self._aim_n[place] - back_n) / self._damping
             rate = max(-MAX_RATE_M_S, min(rate, MAX_RATE_M_S))
             point = (0.0, 0.0, rate if abs(rate) >= MIN_RATE_M_S else 0.0)
             table.post(ReelCommand(time_ns, place, RATE, (point,), self.limits, from_law=True))

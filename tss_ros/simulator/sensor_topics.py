@@ -16,7 +16,7 @@ from tss_ros.ros.topics import Topic, create_publisher
 from tss_ros.simulator import odometry
 from tss_ros.simulator.sensors import Sensors
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.trajectory import Sample
 
 #: The topics, in recording.yaml.
 RELATIVE, TETHERS = "~/{satellite}/relative_states", "~/tether_measurements"

@@ -27,7 +27,7 @@ from tss_interfaces.srv import (
 )
 
 from tss_ros.core import State, TssError, disturbed
-from tss_ros.core.model.failures import MODES, Happened, actuator
+from tss_ros.core.model.failures import MODES, Happened, actuator, require_obedient
 from tss_ros.ros import messages
 from tss_ros.ros.files import inside
 from tss_ros.ros.node import TssNode
@@ -279,6 +279,7 @@ class SimulationServices:
             raise Refused(Code.NOT_FOUND, str(error)) from None
         if request.mode not in MODES:
             raise TssError(f"mode is {request.mode!r:.80}; allowed: {', '.join(MODES)}")
+        require_obedient(simulation.setup.moving_system, place)
         time_ns = read_time(request.stamp, simulation.newest.time_ns)
         simulation.fail(Happened(time_ns, place, request.mode))
         answer.set_result(None)

@@ -19,6 +19,7 @@ from tss_ros.core import (
 )
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
 from tss_ros.core.model.orbits import ReferenceOrbit
+from tss_ros.core.model.reel_law import with_fixed_reels
 from tss_ros.core.model.reels import reel_names
 from tss_ros.core.presentation import turn_in_words
 from tss_ros.scenarios.scenario import Scenario
@@ -41,9 +42,10 @@ def declared(loaded: Scenario, system: System, publish_period_s: float) -> dict[
     TssError
         If it does not fit the system.
     """
+    reels = reel_start(loaded, system, publish_period_s)
     for failure in loaded.failures:
-        failure.check(system)
-    return {"failures": loaded.failures, "reels": reel_start(loaded, system, publish_period_s)}
+        failure.check(with_fixed_reels(system) if reels else system)
+    return {"failures": loaded.failures, "reels": reels}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,6 +135,11 @@ class Setup:
             failures=failures,
         )
 
+    @cached_property
+    def moving_system(self) -> System:
+        """What is integrated: its reels yield where their law acts all the time."""
+        return with_fixed_reels(self.system) if self.reels else self.system
+
     @property
     def commands(self) -> CommandTable:
         """What acts from outside on a run that is told nothing, as a table of its own."""
@@ -168,7 +175,7 @@ class Setup:
         values["spin_rate_ratio"] = np.array(self.spin_rate_ratio)
         values["publish_period_s"] = np.array(self.publish_period_s)
         values["failures"] = np.array([str(failure) for failure in self.failures], dtype=str)
-        law = self.reels and self.reels.control
-        said = [str(law), str(self.reels.every), *map(str, self.reels.length_m)] if law else []
-        values["reel_control"] = np.array(said, dtype=str)
+        sampled = self.reels and self.reels.every
+        said = [self.reels.every, *self.reels.length_m] if sampled else []
+        values["reel_sample_s"] = np.array(said, dtype=float)
         return values

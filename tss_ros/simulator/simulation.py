@@ -2,22 +2,23 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tss_ros.core import Commands, State, TssError
 from tss_ros.core.model.failures import CUT, Change, FailureWatch, Happened
+from tss_ros.core.model.reel_law import reels_that_yield
 from tss_ros.core.model.reels import Deployment
-from tss_ros.messages.steps import States
+from tss_ros.core.motion.commanded import commanded_acceleration
 from tss_ros.simulator import snapshot
 from tss_ros.simulator.commands import CUT as CUT_FRAME
 from tss_ros.simulator.commands import Command, CommandTable
 from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.reel_law import ReelLaw
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.trajectory import CHUNK_STEPS, Trajectory, edges_from, plan_of
+from tss_ros.simulator.trajectory import CHUNK_STEPS, Sample, Trajectory, edges_from, plan_of
 
 #: Simulation times are int32 seconds in every message.
 MAX_TIME_S = 2**31 - 1
@@ -29,40 +30,6 @@ def last_index(duration_s: float, period_s: float) -> int:
     A state that falls on its end counts, whatever rounding does.
     """
     return math.floor(duration_s / period_s * (1.0 + 1e-12))
-
-
-class Sample(NamedTuple):
-    """One state of a motion, in the orbit frame.
-
-    Attributes
-    ----------
-    time_ns : int
-        Simulation time [ns].
-    states : States
-        Those that were computed together; their times count from where the trajectory began.
-    row : int
-        Which of them it is.
-    """
-
-    time_ns: int
-    states: States
-    row: int
-
-    @property
-    def position_m(self) -> np.ndarray:
-        """Of every bead [m], (n, 3)."""
-        return self.states.position_m[self.row]
-
-    @property
-    def velocity_m_s(self) -> np.ndarray:
-        """Of every bead [m/s], (n, 3)."""
-        return self.states.velocity_m_s[self.row]
-
-    @property
-    def alone(self) -> States:
-        """This state alone, with its simulation time."""
-        states = States(*(column[self.row : self.row + 1] for column in self.states))
-        return states._replace(time_ns=np.array([self.time_ns]))
 
 
 class Simulation:
@@ -197,8 +164,14 @@ class Simulation:
 
     def disturb(self, offset_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Add to positions [m] and velocities [m/s], each (n, 3) or what broadcasts to it."""
-        newest = self.newest
-        self._change(State(newest.position_m + offset_m, newest.velocity_m_s + velocity_m_s))
+        newest = self._state
+        self._change(
+            replace(
+                newest,
+                position_m=newest.position_m + offset_m,
+                velocity_m_s=newest.velocity_m_s + velocity_m_s,
+            )
+        )
 
     def place(self, bead: int, position_m: ArrayLike, velocity_m_s: ArrayLike) -> None:
         """Give one bead a position [m] and a velocity [m/s], each of shape (3,).
@@ -209,7 +182,7 @@ class Simulation:
             If it is on a reel, or would be where a neighbour is.
         """
         self.index_out(bead)
-        state = State(self.newest.position_m.copy(), self.newest.velocity_m_s.copy())
+        state = self._state
         state.position_m[bead], state.velocity_m_s[bead] = position_m, velocity_m_s
         self._change(state)
 
@@ -265,7 +238,7 @@ class Simulation:
             file, self.setup.identity, self._trajectory.checkpoint(), CHUNK_STEPS
         )
         commands = self._new_table(self.setup)
-        watch = FailureWatch(self.setup.system, self.setup.failures)
+        watch = FailureWatch(self.setup.moving_system, self.setup.failures)
         law = ReelLaw(self.setup)
         try:
             commands.arrays = kept
@@ -294,7 +267,8 @@ class Simulation:
 
     def _begin_anew(self, setup, base_ns):
         """Begin with what a setup says, and without commands but its own and its failures."""
-        table, self._watch = self._new_table(setup), FailureWatch(setup.system, setup.failures)
+        table = self._new_table(setup)
+        self._watch = FailureWatch(setup.moving_system, setup.failures)
         table.shift(base_ns)
         for failure in self._watch.timed():
             _note(table, failure._replace(time=base_ns + round(failure.time * 1e9)), base_ns)
@@ -313,6 +287,26 @@ class Simulation:
         trajectory = Trajectory(setup, state, self._on_ready, base_ns, plan)
         self.setup = setup
         self._continue(trajectory, commands, base_ns, trajectory.first())
+
+    @property
+    def acceleration_m_s2(self) -> np.ndarray:
+        """Of every bead [m/s^2] at the newest state, as seen from the orbit frame, (n, 3)."""
+        setup, time_s = self.setup, self.newest.time_ns / 1e9
+        return commanded_acceleration(
+            setup.moving_system, setup.spin_rate_ratio, self.acting, time_s, self._state
+        )
+
+    @property
+    def _state(self):
+        """A copy of the newest state, with rest lengths that are states."""
+        newest = self.newest.alone
+        moving = reels_that_yield(self.setup.moving_system)
+        return State(
+            newest.position_m[0].copy(),
+            newest.velocity_m_s[0].copy(),
+            reel_length_m=newest.rest_length_m[0, moving],
+            reel_rate_m_s=newest.rest_rate_m_s[0, moving],
+        )
 
     def _change(self, state):
         """Go on from another state, which shows in the state after it."""

@@ -10,7 +10,7 @@ from tss_ros.messages import blocks
 from tss_ros.messages.steps import StepMessages
 from tss_ros.messages.topics import STATE_TOPICS
 from tss_ros.simulator.setup import Setup
-from tss_ros.simulator.simulation import Sample
+from tss_ros.simulator.trajectory import Sample
 
 #: Topics that are made only for those who listen.
 FOR_VIEWERS = ("markers", "bead_cloud", "tether_lengths")

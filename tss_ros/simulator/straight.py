@@ -118,7 +118,7 @@ def _write(setup, last, writer, on_progress, cancelled, commands):
     make = StepMessages(setup.system, setup.tension_n)
     story = _Story(setup, commands)
     begun = [(0.0, setup.commands.at(0))]
-    propagator = Propagator(setup.system, setup.spin_rate_ratio, setup.start, plan=begun)
+    propagator = Propagator(setup.moving_system, setup.spin_rate_ratio, setup.start, plan=begun)
     propagator.command(story.plan)
     longest = most = min(CHUNK_STEPS, max(1, CHUNK_BEAD_STEPS // setup.system.n))
     first = 0
@@ -171,7 +171,7 @@ class _Story:
         self._table, self.law = setup.commands, ReelLaw(setup, acts=commands is None)
         own = edges_from(self._table, 0)
         self._given = own if commands is None else [own[0], *commands]
-        self._watch = FailureWatch(setup.system, setup.failures if commands is None else ())
+        self._watch = FailureWatch(setup.moving_system, setup.failures if commands is None else ())
         self._happened = [h._replace(time=round(h.time * NS)) for h in self._watch.timed()]
         self._before, self._numbers, self._told_ns = None, dict.fromkeys((APPLIED, EVENTS), 0), -1
         self._kept_from_ns = 0

@@ -32,6 +32,40 @@ CHUNK_STEPS, CHUNK_BEAD_STEPS = 256, 8192
 CHUNK_WALL_S = (0.05, 0.2)
 
 
+class Sample(NamedTuple):
+    """One state of a motion, in the orbit frame.
+
+    Attributes
+    ----------
+    time_ns : int
+        Simulation time [ns].
+    states : States
+        Those that were computed together; their times count from where the trajectory began.
+    row : int
+        Which of them it is.
+    """
+
+    time_ns: int
+    states: States
+    row: int
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Of every bead [m], (n, 3)."""
+        return self.states.position_m[self.row]
+
+    @property
+    def velocity_m_s(self) -> np.ndarray:
+        """Of every bead [m/s], (n, 3)."""
+        return self.states.velocity_m_s[self.row]
+
+    @property
+    def alone(self) -> States:
+        """This state alone, with its simulation time."""
+        states = States(*(column[self.row : self.row + 1] for column in self.states))
+        return states._replace(time_ns=np.array([self.time_ns]))
+
+
 class _Chunk(NamedTuple):
     """States integrated in one go, the end, wall time taken [s]."""
 
@@ -71,7 +105,7 @@ def compute_states(
     edges = [(-1.0, propagator.commands), *propagator.plan]
     sampled = propagator.sample(times_s, cancelled)
     time_ns = np.rint(times_s * 1e9).astype(np.int64)
-    rests = rests_over(setup.system, edges, times_s)
+    rests = rests_over(setup.system, edges, times_s, propagator.rests)
     return States.of(setup.system, setup.reference_radius_m, time_ns, *sampled, rests)
 
 
@@ -259,7 +293,7 @@ class Trajectory:
 
     def _new_propagator(self):
         setup, since_s, (state, plan) = self._setup, self.since_ns / 1e9, self._start
-        system = begun_at(setup.system, since_s)
+        system = begun_at(setup.moving_system, since_s)
         # The same spin over another Omega, if J2 has changed the elements.
         spin = setup.spin_rate_ratio * setup.system.orbit_rate_rad_s
         ratio = spin / system.orbit_rate_rad_s

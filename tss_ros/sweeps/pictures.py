@@ -53,7 +53,8 @@ def draw(question: Question, store: Store) -> plots.Figure:
     """
     if len(question.systems) == 1 and question.ratios:
         return _draw_curves(question, store)
-    named = question.varies_text or not question.parameter
+    several = len({name for name, _, _ in question.systems}) > 1
+    named = question.varies_text or not question.parameter or several
     place = np.array([i if named else v for i, (_, v, _) in enumerate(question.systems)])
 
     def arrays(found, *columns):
@@ -69,6 +70,13 @@ def draw(question: Question, store: Store) -> plots.Figure:
             "verdict",
         ),
         arrays(store.table(CRITICAL_RATES, ["job", *shown]).drop_null(), *shown),
-        [name if v is None else f"{name} {v}" for name, v, _ in question.systems] if named else (),
+        [_label(name, v) for name, v, _ in question.systems] if named else (),
         laws(question, store),
     )
+
+
+def _label(name, value):
+    """What a system is called on the abscissa."""
+    if value is None:
+        return name
+    return f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"

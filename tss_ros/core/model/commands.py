@@ -273,13 +273,16 @@ class Commands(NamedTuple):
             thrust[1] = thrust[1] @ turn_about(Z_AXIS, -arrays.rate * since_s).T
             thrust[2] = thrust[2] @ turn_about(axis, spin_rate_rad_s * since_s).T
         reel = self._cubics(part, time_s)
-        moves = bool(reel[:, 1:].any())
+        yields = arrays.reel_segment.size > 0
+        moves = yields or bool(reel[:, 1:].any())
         share = np.ones(system.m) if moves else system.rest_length_m / reel[:, 0]
         rest = system.rest_length_m if moves else reel[:, 0]
         stiffness = share * (system.axial_stiffness_n / system.rest_length_m)
         reel[cut] = NEVER_M, 0.0, 0.0, 0.0
         return arrays._replace(
-            rest=np.where(cut, NEVER_M, rest),
+            # Where reels yield their rest lengths as built are part of their law.
+            rest=np.where(cut & (not yields), NEVER_M, rest),
+            reel_row=np.where(cut, -1, arrays.reel_row) if yields else arrays.reel_row,
             stiffness=np.where(cut, 0.0, stiffness),
             damping=np.where(cut, 0.0, share * system.damping_n_s_per_m),
             reel=reel if moves else np.empty((0, 4)),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import NoSteadyState, TssError
 from tss_ros.core.model import forces
 from tss_ros.core.model.averaged_balance import AveragedBalance
@@ -20,7 +20,7 @@ from tss_ros.core.model.equilibria import equilibrium
 from tss_ros.core.model.frames import rigid_velocity, turn_to
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.orbits import reference_orbit
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 
 #: Where a formation that hangs starts.
 EQUILIBRIUM = "equilibrium of the orbit frame"
@@ -222,8 +222,9 @@ def disturbed(state: State, disturbance_m: float, seed: int = 0) -> State:
     size = finite("disturbance_m", disturbance_m, at_least=0.0)
     push = np.random.default_rng(seed).standard_normal(state.position_m.shape)
     return State(
-        state.position_m + size * push / np.linalg.norm(push), np.array(state.velocity_m_s)
-    )
+        state.position_m + size * push / np.linalg.norm(push), np.array(state.velocity_m_s),
+        reel_length_m=state.reel_length_m, reel_rate_m_s=state.reel_rate_m_s,
+    )  # fmt: skip
 
 
 @checked

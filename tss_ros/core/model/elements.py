@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, numbers
 from tss_ros.core.errors import TssError
-from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, System, numbers
+from tss_ros.core.model.system import MU_EARTH, RADIUS_EARTH_M, System
 
 #: An eccentricity or inclination [rad] of a state below this is rounding.
 NONE = 1e-11

@@ -13,11 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tss_ros.core.arguments import finite
 from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.cubics import cubic_at
+from tss_ros.core.model.laws.reel import REEL_DAMPING
+from tss_ros.core.model.reel_law import reels_that_yield
 from tss_ros.core.model.reels import LEAST_M, reel_names
-from tss_ros.core.model.system import System, finite
+from tss_ros.core.model.system import System
 
 #: What becomes of an actuator. It obeys; it does nothing: no force, a reel under its brake; or it
 #: goes on with what it does: the same force, or the same rate of a reel, down to LEAST_M out.
@@ -85,7 +88,9 @@ class Failure:
 
     def check(self, system: System) -> None:
         """Raise TssError if it does not fit a system."""
-        self.place(system)
+        place = self.place(system)
+        if self.kind != CUT:
+            require_obedient(system, place)
         if self.tether:
             index_of("tether", self.tether, system.tether_name)
 
@@ -144,6 +149,15 @@ def actuator(system: System, name: str) -> int:
     names = [*(system.bead_name[i] for i in satellites), *reel_names(system)]
     place = index_of("actuator", name, names)
     return satellites[place] if place < len(satellites) else system.n + place - len(satellites)
+
+
+def require_obedient(system: System, place: int) -> None:
+    """Raise TssError if an actuator, given by its index, is a reel that follows tension."""
+    if place >= system.n and reels_that_yield(system).size:
+        raise TssError(
+            f"actuator is {actuator_name(system, place)!r}, a reel that follows tension all the"
+            f" time ({REEL_DAMPING.name}); allowed: reels that obey commands, as with reel_sample_s"
+        )
 
 
 def actuator_name(system: System, place: int) -> str:

@@ -1,4 +1,7 @@
-"""The feedback of a system at one spin rate: what its kernels and matrices need for it."""
+"""The feedback of a system at one spin rate: what its kernels and matrices need for it.
+
+Thrusters are here, reels in `reel_law`.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from tss_ros.core.model.equilibria import equilibrium
 from tss_ros.core.model.feedback_thrust import THRUSTS, add_thrust, turn_damping
 from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
 from tss_ros.core.model.laws import THRUST_LAWS
+from tss_ros.core.model.reel_law import reels_that_yield, with_reels
 from tss_ros.core.model.stated import SHAPE
 from tss_ros.core.model.system import State, System
 from tss_ros.core.numerics import block_lu
@@ -28,6 +32,11 @@ def acting_thrusts(system: System) -> tuple[ThrustLaw, ...]:
 def feeds_back(system: System) -> bool:
     """Whether there are such laws."""
     return bool(acting_thrusts(system))
+
+
+def follows_laws(system: System) -> bool:
+    """Whether thrusters or reels act on what the formation does."""
+    return feeds_back(system) or bool(reels_that_yield(system).size)
 
 
 def damping_time_s(arrays: KernelArrays, system: System) -> float:
@@ -58,7 +67,7 @@ def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) 
         If there is no steady shape.
     """
     if not feeds_back(system):
-        return arrays
+        return with_reels(arrays, system, spin_rate_rad_s)
     aim = system.turning_rad_s(spin_rate_rad_s)
     if spin_rate_rad_s and not aim:
         raise TssError(
@@ -76,19 +85,23 @@ def with_feedback(arrays: KernelArrays, system: System, spin_rate_rad_s: float) 
         shape = place - np.mean(place[system.is_satellite], axis=0)
     share = system.is_satellite / np.count_nonzero(system.is_satellite)
     thrusting = sum(1 << THRUST_LAWS.index(law) for law in acting)
-    return arrays._replace(satellite=share, shape=shape, aim=aim, thrusting=thrusting)
+    arrays = arrays._replace(satellite=share, shape=shape, aim=aim, thrusting=thrusting)
+    return with_reels(arrays, system, spin_rate_rad_s)
 
 
 def analysed(system: System) -> Symbolic:
     """Elimination order and fill of the system's matrices.
 
-    Feedback couples every satellite with every other one; their pairs follow the tethers.
+    Rest lengths that are states are coupled with the ends of their tethers; their pairs follow the
+    tethers. Feedback couples every satellite with every other one; their pairs come last.
     """
-    ends = system.tether_ends
+    ends, rows = [system.tether_ends], system.n + reels_that_yield(system).size
+    for row, k in enumerate(reels_that_yield(system), system.n):
+        ends.append([(end, row) for end in system.tether_ends[k]])
     if feeds_back(system):
         pairs = combinations(np.flatnonzero(system.is_satellite), 2)
-        ends = np.concatenate([ends, np.array(list(pairs), dtype=np.int64).reshape(-1, 2)])
-    return block_lu.analyse(system.n, ends)
+        ends.append(np.array(list(pairs), dtype=np.int64).reshape(-1, 2))
+    return block_lu.analyse(rows, np.concatenate(ends))
 
 
 def thrust(system: System, spin_rate_ratio: float, state: State) -> np.ndarray:

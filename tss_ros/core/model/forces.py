@@ -30,7 +30,9 @@ from tss_ros.core.model.made import (
     tension,
     tension_and_slope,
     tension_and_slope_of_arrays,
+    tension_by_rest,
 )
+from tss_ros.core.model.reel_yield import let_reels_go, linearise_reel
 from tss_ros.core.model.reels import NEVER_M
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
@@ -47,19 +49,21 @@ def _tether(v, r, i, j):
 
 
 @kernel
-def rest_at(arrays, k, time):
+def rest_at(arrays, k, time, v, r):
     """L [m] of a tether and L' [m/s] at a time [s]."""
     if arrays.reel.size == 0:
         return arrays.rest[k], 0.0
+    if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
+        return r[arrays.reel_row[k], 0], v[arrays.reel_row[k], 0]
     past, reel = time - arrays.reel_since, arrays.reel[k]
     length = ((reel[3] * past + reel[2]) * past + reel[1]) * past + reel[0]
     return length, (3.0 * reel[3] * past + 2.0 * reel[2]) * past + reel[1]
 
 
 @kernel
-def _tether_at(arrays, k, time):
+def _tether_at(arrays, k, time, v, r):
     """L [m], L' [m/s], EA/L [N/m] and C [N s/m] of a tether at a time [s]."""
-    rest, unreeling = rest_at(arrays, k, time)
+    rest, unreeling = rest_at(arrays, k, time, v, r)
     if arrays.reel.size == 0:
         return rest, unreeling, arrays.stiffness[k], arrays.damping[k]
     share = arrays.rest[k] / rest
@@ -74,7 +78,7 @@ def _accelerate_in_sky(arrays, time, v, r, a):
     """
     sky, turning = sky_at(arrays, time), arrays.rate + arrays.spin
     centrifugal = turning * turning - sky[MEAN_MOTION] * sky[MEAN_MOTION]
-    for i in range(r.shape[0]):
+    for i in range(arrays.beads):
         x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
         gx, gy, gz = acceleration_of_bead_in_sky(arrays, x, y, z, vx, vy, vz, sky, turning)
         fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
@@ -97,7 +101,7 @@ def _linearise_in_sky(arrays, time, v, r, by_r, by_v):
     """Derivatives of `_accelerate_in_sky`, into the diagonal blocks (3, 3) of zeros."""
     sky, turning = sky_at(arrays, time), arrays.rate + arrays.spin
     centrifugal = turning * turning - sky[MEAN_MOTION] * sky[MEAN_MOTION]
-    for i in range(r.shape[0]):
+    for i in range(arrays.beads):
         _linearise_inertia(arrays, centrifugal, turning, by_r[i], by_v[i])
         x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
         jacobian_of_bead_in_sky(arrays, x, y, z, vx, vy, vz, sky, turning, by_r[i], by_v[i])
@@ -114,9 +118,9 @@ def acceleration(arrays, taut, time, v, r, a):
         Which tethers pull or push, the switch s of Eq. (5), held fixed by the caller.
     time : float
         [s]; at 0 the turning frame coincides with the orbit frame.
-    v, r : ndarray, shape (n, 3)
-        Velocities [m/s] and positions [m].
-    a : ndarray, shape (n, 3)
+    v, r : ndarray, shape (rows, 3)
+        Velocities [m/s] and positions [m], and rest lengths that are states.
+    a : ndarray, shape (rows, 3)
         Overwritten with the accelerations [m/s^2].
     """
     if arrays.orbit_starts.size > 0:
@@ -125,7 +129,7 @@ def acceleration(arrays, taut, time, v, r, a):
         upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
         centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
         turning = arrays.rate + arrays.spin
-        for i in range(r.shape[0]):
+        for i in range(arrays.beads):
             x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
             gx, gy, gz = bead_acceleration(arrays, x, y, z, vx, vy, vz, upx, upy, turning)
             fx, fy = inertia(x, y, vx, vy, centrifugal, 2.0 * turning, arrays.drive)
@@ -134,7 +138,7 @@ def acceleration(arrays, taut, time, v, r, a):
             a[i, 2] = gz
     dx, dy = arrays.drive_across
     if dx != 0.0 or dy != 0.0:
-        for i in range(r.shape[0]):
+        for i in range(arrays.beads):
             a[i, 0] += dy * r[i, 2]
             a[i, 1] -= dx * r[i, 2]
             a[i, 2] += dx * r[i, 1] - dy * r[i, 0]
@@ -142,11 +146,13 @@ def acceleration(arrays, taut, time, v, r, a):
         add_thrust(arrays, v, r, a)
     if arrays.thrust.size > 0:
         add_commanded_thrust(arrays, time, a)
+    if arrays.reel_row.size > 0:
+        let_reels_go(arrays, v, r, a)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
             ex, ey, ez, length, growth = _tether(v, r, i, j)
-            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
+            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time, v, r)
             pull = tension(arrays, length, growth - unreeling, rest, stiffness, damping) / length
             pi, pj = pull * arrays.inv_mass[i], pull * arrays.inv_mass[j]
             a[i, 0] -= pi * ex
@@ -155,6 +161,9 @@ def acceleration(arrays, taut, time, v, r, a):
             a[j, 0] += pj * ex
             a[j, 1] += pj * ey
             a[j, 2] += pj * ez
+            if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
+                row = arrays.reel_row[k]
+                a[row, 0] += arrays.inv_mass[row] * pull * length
 
 
 @python_kernel
@@ -167,7 +176,8 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
         As for `acceleration`.
     pair : ndarray, shape (m, 2) or more
         Where the blocks (i, j) and (j, i) of each tether are stored (`block_lu.Symbolic.pair`);
-        then those of each pair of satellites if feedback couples them.
+        then those of each end of the tethers whose rest lengths are states with these; then those
+        of each pair of satellites if feedback couples them.
     by_r, by_v : ndarray, shape (at least as many as blocks, 3, 3)
         Overwritten: da/dr [1/s^2] and da/dv [1/s]; block i < n is the diagonal one of bead i.
     """
@@ -179,19 +189,23 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
         upx, upy = math.sin(arrays.spin * time), math.cos(arrays.spin * time)
         centrifugal = arrays.spin * (arrays.spin + 2.0 * arrays.rate)
         turning = arrays.rate + arrays.spin
-        for i in range(r.shape[0]):
+        for i in range(arrays.beads):
             _linearise_inertia(arrays, centrifugal, turning, by_r[i], by_v[i])
             x, y, z, vx, vy, vz = r[i, 0], r[i, 1], r[i, 2], v[i, 0], v[i, 1], v[i, 2]
             bead_jacobian(arrays, x, y, z, vx, vy, vz, upx, upy, turning, by_r[i], by_v[i])
     dx, dy = arrays.drive_across
     if dx != 0.0 or dy != 0.0:
-        for i in range(r.shape[0]):
+        for i in range(arrays.beads):
             by_r[i, 0, 2] += dy
             by_r[i, 1, 2] -= dx
             by_r[i, 2, 0] -= dy
             by_r[i, 2, 1] += dx
+    for row in range(arrays.beads, arrays.inv_mass.size):
+        by_r[row, 0, 0] -= arrays.inv_mass[row] * arrays.reel_law[1]
+        by_v[row, 0, 0] -= arrays.inv_mass[row] * arrays.reel_law[0]
     if arrays.satellite.size > 0:
-        add_thrust_gradient(arrays, pair[arrays.ends.shape[0] :], v, r, by_r, by_v)
+        others = pair[arrays.ends.shape[0] + 2 * arrays.reel_segment.size :]
+        add_thrust_gradient(arrays, others, v, r, by_r, by_v)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
             i, j = arrays.ends[k, 0], arrays.ends[k, 1]
@@ -200,10 +214,16 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             length2 = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
             length = math.sqrt(length2)
             growth = (e[0] * w[0] + e[1] * w[1] + e[2] * w[2]) / length
-            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
+            rest, unreeling, stiffness, damping = _tether_at(arrays, k, time, v, r)
             across, slope = tension_and_slope(
                 arrays, length, growth - unreeling, rest, stiffness, damping
             )
+            if arrays.reel_row.size > 0:
+                by_rest = tension_by_rest(
+                    arrays, length, growth - unreeling, rest, stiffness, damping
+                )
+                state, slopes = (e, w, length, growth), (slope, by_rest, damping)
+                linearise_reel(arrays, pair, k, state, slopes, by_r, by_v)
             # Derivatives of tension over length times e, by e and w, which l and l' depend on.
             across /= length
             along = slope - across - damping * growth / length
@@ -241,23 +261,23 @@ def stretch(arrays, time, v, r, excess, growth):
     """
     for k in range(arrays.ends.shape[0]):
         _, _, _, length, faster = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
-        rest, unreeling = rest_at(arrays, k, time)
+        rest, unreeling = rest_at(arrays, k, time, v, r)
         excess[k], growth[k] = length - rest, faster - unreeling
 
 
 @kernel
-def tension_at(arrays, k, time, v, r):
-    """Tension [N] of a taut tether at a time [s], and its C [N s/m] then."""
+def _tension_at(arrays, k, time, v, r):
+    """Tension [N] that the law gives a tether at a time [s]."""
     _, _, _, length, growth = _tether(v, r, arrays.ends[k, 0], arrays.ends[k, 1])
-    rest, unreeling, stiffness, damping = _tether_at(arrays, k, time)
-    return tension(arrays, length, growth - unreeling, rest, stiffness, damping), damping
+    rest, unreeling, stiffness, damping = _tether_at(arrays, k, time, v, r)
+    return tension(arrays, length, growth - unreeling, rest, stiffness, damping)
 
 
 @python_kernel
 def tensions(arrays, time, v, r, pull):
     """Tension [N] that the law gives every tether at a time [s], taut or not."""
     for k in range(arrays.ends.shape[0]):
-        pull[k], _ = tension_at(arrays, k, time, v, r)
+        pull[k] = _tension_at(arrays, k, time, v, r)
 
 
 def tension_and_slopes(
@@ -310,12 +330,20 @@ def tether_state(
     return length, np.where(taut | pushes, pull, 0.0), taut
 
 
-def acting_tethers(system: System, position_m: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
+def acting_tethers(
+    system: System,
+    position_m: np.ndarray,
+    velocity_m_s: np.ndarray,
+    rests: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
     """Which tethers exert a force, the switch s of Eq. (5); shapes as `tether_state`, bool."""
     length, growth = lengths_and_rates(system, position_m, velocity_m_s)
-    acts = (length > system.rest_length_m) | system.bilateral
+    arrays = kernel_arrays(system, 0.0)
+    if rests is not None:
+        arrays, growth = _with_rests(arrays, system, rests[0]), growth - rests[1]
+    acts = (length > arrays.rest) | system.bilateral
     if not system.law.pushes:
-        acts &= tension_and_slopes(kernel_arrays(system, 0.0), length, growth)[0] >= 0.0
+        acts &= tension_and_slopes(arrays, length, growth)[0] >= 0.0
     return acts
 
 

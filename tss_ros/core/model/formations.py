@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tss_ros.core.arguments import finite, unit_vector
 from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.frames import turn_to
 from tss_ros.core.model.laws import TETHER_LAWS
 from tss_ros.core.model.parameters import named_perturbations
-from tss_ros.core.model.system import ORBIT_NORMAL, System, finite, unit_vector
+from tss_ros.core.model.system import ORBIT_NORMAL, System
 
 #: Most beads, satellites included, that a system may have.
 MOST_BEADS = 20_000

@@ -14,9 +14,12 @@ class KernelArrays(NamedTuple):
 
     Attributes
     ----------
+    beads : int
+        n. Kernels' states have a row for each of them, and one more for each reel that follows
+        tension: its rest length [m] and rate [m/s] are the first numbers there, the others are 0.
     ends : ndarray, shape (m, 2), int
         Indices of the two beads that each tether segment joins, Eq. (4).
-    inv_mass : ndarray, shape (n,)
+    inv_mass : ndarray, shape (rows,)
         1/m_i [1/kg].
     rest, stiffness, damping : ndarray, shape (m,)
         L [m], EA/L [N/m] and C [N s/m] of each segment, Eqs. (3) and (6).
@@ -41,6 +44,15 @@ class KernelArrays(NamedTuple):
         on; EA stays, so that stiffness and damping change like 1/L. Empty where none changes.
     reel_since : float
         [s]
+    reel_row : ndarray, shape (m,), int
+        Row of a segment's rest length, -1 where that is no state and of tethers that are cut; empty
+        where no reel follows tension.
+    reel_segment : ndarray, shape (p,), int
+        Segments whose rest lengths are states, in the order of the rows.
+    reel_aim : ndarray, shape (p,)
+        T_0 [N] of their reels, `laws.reel`.
+    reel_law : tuple of two float
+        c [N s/m] and k [N/m] of all of them.
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -49,10 +61,10 @@ class KernelArrays(NamedTuple):
         Which of `laws.BEAD_LAWS` act, one bit each.
     constants : tuple of float
         Values of `laws.LAW_PARAMETERS`.
-    satellite : ndarray, shape (n,)
+    satellite : ndarray, shape (rows,)
         One over the number of satellites for each of them, 0 for other beads; empty where no
         feedback acts, see `model.feedback_thrust`.
-    shape : ndarray, shape (n, 3)
+    shape : ndarray, shape (rows, 3)
         [m] places in the steady shape from the mean of the satellites, which the feedback keeps.
     aim : float
         omega [rad/s] about z that the feedback aims at.
@@ -72,6 +84,7 @@ class KernelArrays(NamedTuple):
         Unit vectors to the north and to the Sun, in the same axes.
     """
 
+    beads: int
     ends: np.ndarray
     inv_mass: np.ndarray
     rest: np.ndarray
@@ -88,6 +101,10 @@ class KernelArrays(NamedTuple):
     thrust_spin: float
     reel: np.ndarray
     reel_since: float
+    reel_row: np.ndarray
+    reel_segment: np.ndarray
+    reel_aim: np.ndarray
+    reel_law: tuple[float, float]
     bilateral: bool
     pushes: bool
     tension: int
@@ -109,7 +126,7 @@ class KernelArrays(NamedTuple):
 def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
     """Lay a `System` out for the kernels, on a circle; `orbits.ReferenceOrbit` knows others.
 
-    Without feedback, which `feedback.with_feedback` adds.
+    Without what `feedback.with_feedback` and `reel_law.with_reels` add.
 
     Parameters
     ----------
@@ -122,6 +139,7 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
     KernelArrays
     """
     return KernelArrays(
+        beads=int(system.n),
         ends=np.array(system.tether_ends),
         inv_mass=1.0 / system.mass_kg,
         rest=np.array(system.rest_length_m),
@@ -138,6 +156,10 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         thrust_spin=0.0,
         reel=np.empty((0, 4)),
         reel_since=0.0,
+        reel_row=np.empty(0, dtype=np.int64),
+        reel_segment=np.empty(0, dtype=np.int64),
+        reel_aim=np.empty(0),
+        reel_law=(0.0, 0.0),
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

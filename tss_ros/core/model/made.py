@@ -29,6 +29,7 @@ from tss_ros.core.model.stated import (
 )
 from tss_ros.core.numerics import simd
 from tss_ros.core.numerics.expressions import (
+    add,
     as_number,
     derivative,
     distributed,
@@ -92,11 +93,22 @@ def _tether_function(name, outputs, mathematics, decorate):
     return decorate(_choice(name, _TETHER_VALUE, lines, "arrays.tension == {}", functions))
 
 
+def _by_rest(tension):
+    """Derivative of a tension by L, where EA and C L stay."""
+    s = STRETCHED
+    changes = {s.rest: 1.0, s.stiffness: -s.stiffness / s.rest, s.damping: -s.damping / s.rest}
+    return add(*(derivative(tension, by) * change for by, change in changes.items()))
+
+
 _WITH_SLOPE = [(t, derivative(t, STRETCHED.length)) for t in TENSIONS]
 #: Tension [N] of a taut tether, and its derivative by length [N/m]; that by rate is the damping.
 tension = _tether_function("tension", [(t,) for t in TENSIONS], SCALARS, simd.inlined)
 tension_and_slope = _tether_function("tension_and_slope", _WITH_SLOPE, SCALARS, simd.inlined)
-#: The same for numpy arrays.
+#: How it grows with a rest length that takes the material of the tether along [N/m].
+tension_by_rest = _tether_function(
+    "tension_by_rest", [(_by_rest(t),) for t in TENSIONS], SCALARS, simd.inlined
+)
+#: `tension_and_slope` for numpy arrays.
 tension_and_slope_of_arrays = _tether_function(
     "tension_and_slope_of_arrays", _WITH_SLOPE, _ARRAYS, lambda function: function
 )

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS
-from tss_ros.core.model.system import System, finite
+from tss_ros.core.model.system import System
 
 _OF_BEADS = {"satellite_mass_kg": True, "bead_mass_kg": False}
 _OF_TETHERS = ("tether_length_m", "axial_stiffness_n", "damping_n_s_per_m")

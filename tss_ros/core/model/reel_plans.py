@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PPoly
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, numbers
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.reels import reel_index
-from tss_ros.core.model.system import System, numbers
+from tss_ros.core.model.system import System
 
 
 @checked
@@ -105,7 +105,10 @@ def reel_plan(
 
 
 def rests_over(
-    system: System, plan: Sequence[tuple[float, Commands]], times_s: np.ndarray
+    system: System,
+    plan: Sequence[tuple[float, Commands]],
+    times_s: np.ndarray,
+    yielding: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rest lengths of all segments over time, as a plan makes them.
 
@@ -116,19 +119,22 @@ def rests_over(
         What acts from outside, and after which times [s].
     times_s : ndarray, shape (k,)
         Increasing.
+    yielding : tuple of two ndarray, shape (k, m), optional
+        Rest lengths [m] and rates [m/s] there where those next to reels are states.
 
     Returns
     -------
     rest_length_m, rest_rate_m_s : ndarray, shape (k, m)
         [m] and [m/s]; both are 0 for segments that are on a reel or cut.
     """
-    rests = Commands.none(system).rests(system, times_s)
+    rests = Commands.none(system).rests(system, times_s) if yielding is None else yielding
     firsts = np.searchsorted(times_s, [edge for edge, _ in plan], side="right").tolist()
     for (_, commands), first, end in zip(plan, firsts, [*firsts[1:], times_s.size]):
         if first == end:
             continue
         for part, values in zip(rests, commands.rests(system, times_s[first:end])):
-            part[first:end] = values
+            if yielding is None:
+                part[first:end] = values
             part[first:end, commands.cut] = 0.0
     return rests
 

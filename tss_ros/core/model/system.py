@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tss_ros.core.arguments import finite, numbers, unit_vector
 from tss_ros.core.errors import TssError, near_match
 from tss_ros.core.model.contract import BeadLaw, TetherLaw
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
@@ -39,12 +40,24 @@ class State(Presented):
         [m] from the formation's nominal centre.
     velocity_m_s : ndarray, shape (n, 3)
         [m/s] measured in the rotating orbit frame.
+    reel_length_m, reel_rate_m_s : ndarray, shape (p,)
+        Rest lengths [m] that are states of the system, those next to reels that follow tension, and
+        their rates [m/s]. Empty for a system without, and for rest lengths as built.
     """
 
     position_m: np.ndarray
     velocity_m_s: np.ndarray
+    reel_length_m: np.ndarray = field(kw_only=True, default_factory=lambda: np.empty(0))
+    reel_rate_m_s: np.ndarray = field(kw_only=True, default_factory=lambda: np.empty(0))
 
     def __post_init__(self):
+        for name in ("reel_length_m", "reel_rate_m_s"):
+            object.__setattr__(self, name, np.array(numbers(name, getattr(self, name))))
+        if self.reel_length_m.ndim != 1 or self.reel_rate_m_s.shape != self.reel_length_m.shape:
+            raise TssError(
+                "reel_length_m and reel_rate_m_s must be a number each for every reel, got shapes"
+                f" {self.reel_length_m.shape} and {self.reel_rate_m_s.shape}"
+            )
         for name in ("position_m", "velocity_m_s"):
             array = numbers(name, getattr(self, name))
             if array.ndim != 2 or array.shape[1] != 3:
@@ -339,61 +352,3 @@ class System(Presented):
         """
         x, y, z = self.spin_axis
         return math.copysign(spin_rate_rad_s, spin_rate_rad_s * z) if x == y == 0.0 else 0.0
-
-
-def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
-    """Return `values` as an array of numbers, itself if it is one.
-
-    Raises
-    ------
-    TssError
-        Naming the thing and its value.
-    """
-    try:
-        return np.asarray(values, dtype=kind)
-    except (TypeError, ValueError):
-        shown = f"{values!r:.80}".replace("\n", " ")
-        raise TssError(f"{name} must be an array of numbers, got {shown}") from None
-
-
-def unit_vector(name: str, value: object) -> np.ndarray:
-    """Return a vector of any length but zero as one of length 1, read-only.
-
-    Raises
-    ------
-    TssError
-        Naming the thing, its value and what is allowed.
-    """
-    vector = numbers(name, value)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise TssError(f"{name} must be three finite numbers x, y, z, got {value!r:.80}")
-    largest = np.max(np.abs(vector))
-    if not largest:
-        raise TssError(f"{name} must have a length above 0, got [0, 0, 0]")
-    vector = vector / largest
-    vector = vector / np.linalg.norm(vector)
-    vector.flags.writeable = False
-    return vector
-
-
-def finite(
-    name: str, value: object, above: float | None = None, at_least: float | None = None
-) -> float:
-    """Return `value` as a finite float within its bounds.
-
-    Raises
-    ------
-    TssError
-        Naming the thing, its value and what is allowed.
-    """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TssError(f"{name} must be a number, got {value!r}") from None
-    if not math.isfinite(number):
-        raise TssError(f"{name} must be a finite number, got {number}")
-    if above is not None and not number > above:
-        raise TssError(f"{name} must be greater than {above:g}, got {number:g}")
-    if at_least is not None and not number >= at_least:
-        raise TssError(f"{name} must be at least {at_least:g}, got {number:g}")
-    return number

@@ -16,7 +16,9 @@ from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.feedback import with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
+from tss_ros.core.model.laws.reel import REEL_DAMPING
 from tss_ros.core.model.orbits import reference_orbit
+from tss_ros.core.model.reel_law import rests_in_rows
 from tss_ros.core.model.reels import deployment, pay_out, reels
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate
@@ -24,7 +26,7 @@ from tss_ros.core.motion.state import IntegratorState, Samples, velocities_and_p
 from tss_ros.core.motion.step_control import ANY_STEP, EXPLICIT, IMPLICIT
 
 if TYPE_CHECKING:
-    from tss_ros.core.motion.propagator import Integrator
+    from tss_ros.core.motion.integrator import Integrator
 
 
 def commanded_acceleration(
@@ -48,14 +50,19 @@ def commanded_acceleration(
         [m/s^2]
     """
     spin, part = system.spin_rate_rad_s(spin_rate_ratio), commands.part_out(system, time_s)
-    r, v = state.position_m[part.beads], state.velocity_m_s[part.beads]
+    v, r = velocities_and_positions(system, state)
+    rows = np.append(part.beads, np.arange(system.n, len(r)))
+    v, r = v[rows], r[rows]
     orbit = None if system.autonomous else reference_orbit(part.system)
     # Without spin the turning frame of the forces is the orbit frame.
     arrays = orbit.arrays(0.0) if orbit else kernel_arrays(part.system, 0.0)
     arrays = with_feedback(arrays, part.system, spin)
     arrays = commands.in_arrays(arrays, part, spin, time_s=time_s)
+    n = part.system.n
     rests = tuple(x[part.segments] for x in commands.rests(system, time_s))
-    taut = forces.tether_state(part.system, r, v, rests)
+    if len(r) > n:
+        rests = rests_in_rows(system, v, r)
+    taut = forces.tether_state(part.system, r[:n], v[:n], rests)
     cut = commands.cut[part.segments]
     taut = (taut[2] | system.bilateral) & ~cut & (system.law.pushes | (taut[1] > 0.0))
     if orbit:
@@ -111,7 +118,9 @@ class CommandedMotion:
         self._base = _Leg(-1.0, commands, commands.hand_overs(system, 0.0, later)[0][1])
         self._integrator, self._plan = self._with(self._base), []
         beads = self._part.beads
-        self._motion = self._integrator.begin(State(r[beads], v[beads]))
+        if beads.size < system.n:
+            state = State(r[beads], v[beads])
+        self._motion = self._integrator.begin(state)
         self.command([(edge, commands) for edge, commands in plan if edge > 0.0])
         self._first_step_s = float(self._motion.progress["implicit_size"][0])
 
@@ -228,9 +237,9 @@ class CommandedMotion:
         if explicit and (pushes or commands.unreels):
             what = "forces of thrusters" if pushes else "reels that move"
             raise TssError(f"integrator 'taylor' bears no {what}: choose auto or radau")
-        keeps_shape = self._system.law_parameters[SHAPE_KEEPING.name]
-        if keeps_shape and not commands.all_out(self._system):
-            raise TssError(f"{SHAPE_KEEPING.name} keeps one shape, but a rest length is to change")
+        for law, words in ((SHAPE_KEEPING, "keeps one shape"), (REEL_DAMPING, "moves the reels")):
+            if self._system.law_parameters[law.name] and not commands.all_out(self._system):
+                raise TssError(f"{law.name} {words}, but a command is to change a rest length")
 
     def _with(self, leg):
         """The integrator of a leg."""

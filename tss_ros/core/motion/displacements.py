@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from tss_ros.core.errors import Cancelled, IntegrationError
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.motion.state import IntegratorState
 
 #: Most columns of a block: enough that the motion's own work is small beside theirs, few enough
@@ -39,7 +39,7 @@ def carry_displacements(
     integrator : Integrator
     motion : IntegratorState
         Left as it is.
-    displacement : ndarray, shape (6n, k)
+    displacement : ndarray, shape (6 rows, k)
         Scaled: velocities over the rim speed, then positions over the radius.
     stop : float
         [s] time to carry them to.
@@ -52,7 +52,7 @@ def carry_displacements(
     -------
     motion : IntegratorState
         At `stop`, with no columns.
-    displacement : ndarray, shape (6n, k)
+    displacement : ndarray, shape (6 rows, k)
 
     Raises
     ------
@@ -61,7 +61,7 @@ def carry_displacements(
     Cancelled
         If `cancelled` said so.
     """
-    blocks = _blocks(displacement, integrator.system.n, width)
+    blocks = _blocks(displacement, integrator.rows, width)
     if len(blocks) == 1:
         return _carry_block(integrator, motion, displacement, stop, cancelled)
     futures = [
@@ -80,12 +80,12 @@ def _pool():
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="displacements")
 
 
-def _blocks(displacement, beads, width):
+def _blocks(displacement, rows, width):
     """Indices of the columns of each block: in the orbit plane, out of it, and others apart."""
     count = displacement.shape[1]
     if count <= width:
         return [np.arange(count)]
-    moves = displacement.reshape(2, beads, 3, count).any(axis=(0, 1))
+    moves = displacement.reshape(2, rows, 3, count).any(axis=(0, 1))
     kind = np.where(moves[2], 1 + moves[:2].any(axis=0), 0)
     groups = [np.flatnonzero(kind == k) for k in range(3)]
     return [
@@ -99,10 +99,10 @@ def _blocks(displacement, beads, width):
 def _carry_block(integrator, motion, displacement, stop, cancelled):
     settings, count = integrator.settings, displacement.shape[1]
     speed, length = settings.speed, settings.length
-    v, r = np.ascontiguousarray(displacement).reshape(2, integrator.system.n, 3, count)
+    v, r = np.ascontiguousarray(displacement).reshape(2, integrator.rows, 3, count)
     motion = motion.with_variations(v * speed, r * length)
     # Steps between two looks at `cancelled`: large systems take a tenth of a second for one.
-    steps = min(50, max(1, 2000 // integrator.system.n))
+    steps = min(50, max(1, 2000 // integrator.rows))
     while not integrator.advance(motion, stop, steps=steps):
         check_limits(motion, stop, cancelled)
         if (growth := np.max(np.abs(motion.x_v), initial=0.0) / speed) > 1.0 / integrator.rtol:
@@ -112,7 +112,7 @@ def _carry_block(integrator, motion, displacement, stop, cancelled):
                 f" {motion.switches} slack/taut switches"
             )
     carried = np.stack([motion.x_v / speed, motion.x_r / length]).reshape(displacement.shape)
-    none = np.empty((integrator.system.n, 3, 0))
+    none = np.empty((integrator.rows, 3, 0))
     return motion._replace(x_v=none, x_r=none), carried
 
 

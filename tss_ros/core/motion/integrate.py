@@ -111,7 +111,7 @@ def _start(arrays, settings, motion, v, r, first_step, excess, growth):
     for i in range(r.shape[0]):
         for q in range(3):
             motion.r[i, q], motion.v[i, q] = r[i, q], v[i, q]
-    to_turning_frame(arrays.spin, 0.0, motion.v, motion.r)
+    to_turning_frame(arrays.spin, 0.0, motion.v[: arrays.beads], motion.r[: arrays.beads])
     for i in range(r.shape[0]):
         for q in range(3):
             motion.start_r[i, q], motion.start_v[i, q] = motion.r[i, q], motion.v[i, q]
@@ -149,7 +149,8 @@ def _state_at(arrays, tables, motion, now, v, r):
             fraction = (now - at.step_start) / at.step_size
             step.interpolate(tables, motion.dv, fraction, v)
             step.interpolate(tables, motion.dr, fraction, r)
-        to_orbit_frame(arrays.spin, now, v, r, v, r)
+        beads_v, beads_r = v[: arrays.beads], r[: arrays.beads]
+        to_orbit_frame(arrays.spin, now, beads_v, beads_r, beads_v, beads_r)
 
 
 @rounded_kernel
@@ -298,5 +299,8 @@ def advance_each(arrays, symbolic, tables, settings, motion, limits, first_step,
         status = advance(arrays, symbolic, tables, settings, motion, limits, samples)
         if status != REACHED:
             return k, status
-        to_orbit_frame(arrays.spin, motion.progress[0].time, motion.v, motion.r, v, r)
+        assign(v, motion.v)
+        assign(r, motion.r)
+        v, r = v[: arrays.beads], r[: arrays.beads]
+        to_orbit_frame(arrays.spin, motion.progress[0].time, v, r, v, r)
     return states.shape[0], status

@@ -298,7 +298,8 @@ def toggle(arrays, motion, which, edge, excess, growth):
 
     Variations are multiplied by the saltation matrix. Where a force jumps by C l', at the rest
     length, that only adds the damping of the relative displacement along the tether to the
-    velocities (S = I for C = 0). A tension that comes to zero does not jump, and S = I.
+    velocities (S = I for C = 0); a rest length that is a state has its share in both. A tension
+    that comes to zero does not jump, and S = I.
     """
     at, taut, idle, m = motion.progress[0], motion.taut, motion.idle, arrays.rest.size
     if which >= m:
@@ -330,12 +331,19 @@ def _saltation(arrays, motion, k, sign):
     i, j, length2 = arrays.ends[k, 0], arrays.ends[k, 1], 0.0
     for p in range(3):
         length2 += (motion.r[i, p] - motion.r[j, p]) ** 2
+    row, damping = -1, arrays.damping[k]
+    if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
+        row = arrays.reel_row[k]
+        damping *= arrays.rest[k] / motion.r[row, 0]
+    length = math.sqrt(length2)
     for c in range(motion.x_v.shape[2]):
-        jump = 0.0
+        jump = 0.0 if row < 0 else -length * motion.x_r[row, 0, c]
         for p in range(3):
             e = motion.r[i, p] - motion.r[j, p]
             jump += e * (motion.x_r[i, p, c] - motion.x_r[j, p, c])
-        jump *= sign * arrays.damping[k] / length2
+        jump *= sign * damping / length2
+        if row >= 0:
+            motion.x_v[row, 0, c] += jump * length * arrays.inv_mass[row]
         for p in range(3):
             e = motion.r[i, p] - motion.r[j, p]
             motion.x_v[i, p, c] -= jump * e * arrays.inv_mass[i]

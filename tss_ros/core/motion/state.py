@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.reel_law import rows_of
 from tss_ros.core.model.system import State, System
 
 #: Numbers of a motion under way, by name, inside compiled kernels as well as outside:
@@ -53,8 +54,8 @@ class IntegratorState(NamedTuple):
         Which tethers pull or push, the switch s of Eq. (5).
     idle : ndarray, shape (m,), bool
         Which do nothing although they are longer than at rest: their law never pushes.
-    v, r : ndarray, shape (n, 3)
-        Velocities [m/s] and positions [m] now.
+    v, r : ndarray, shape (rows, 3)
+        Velocities [m/s] and positions [m] now; as `KernelArrays` has rows, here and below.
     start_v, start_r : ndarray, shape (n, 3)
         Where the last implicit step began.
     dv, dr : ndarray, shape (stages, n, 3)
@@ -104,20 +105,22 @@ class IntegratorState(NamedTuple):
 
 
 def velocities_and_positions(system: System, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities [m/s] and positions [m] (n, 3) of a state in the orbit frame.
+    """Velocities [m/s] and positions [m] of a state in the orbit frame, as kernels have them.
+
+    Of shape (rows, 3), with rest lengths that are states after the beads.
 
     Raises
     ------
     TssError
         If they are not finite or not ones of this system.
     """
-    r = np.ascontiguousarray(state.position_m, dtype=float)
-    v = np.ascontiguousarray(state.velocity_m_s, dtype=float)
-    if r.shape != (system.n, 3) or v.shape != r.shape:
+    shapes = state.position_m.shape, state.velocity_m_s.shape
+    if set(shapes) != {(system.n, 3)}:
         raise TssError(
             f"a state of {system.n} beads needs positions and velocities of shape"
-            f" ({system.n}, 3), got {r.shape} and {v.shape}"
+            f" ({system.n}, 3), got {shapes[0]} and {shapes[1]}"
         )
+    v, r = (np.ascontiguousarray(x, dtype=float) for x in rows_of(system, state))
     if not (np.isfinite(r).all() and np.isfinite(v).all()):
         raise TssError("positions and velocities must be finite, got NaN or infinity")
     return v, r

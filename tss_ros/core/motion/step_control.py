@@ -200,7 +200,7 @@ def taut_rates(arrays, taut, sums):
     fastest : float
         Bound [1/s] of the rates at which they swing or decay.
     dissipation : float
-        Sum of C (1/m_i + 1/m_j) over them [1/s].
+        Sum of C (1/m_i + 1/m_j) over them [1/s], and of C over the reels' masses.
     """
     for i in range(sums.shape[0]):
         sums[i, 0] = sums[i, 1] = 0.0
@@ -217,4 +217,6 @@ def taut_rates(arrays, taut, sums):
             swing = max(swing, sums[i, 0] + sums[j, 0])
             decay = max(decay, sums[i, 1] + sums[j, 1])
             dissipation += arrays.damping[k] * (arrays.inv_mass[i] + arrays.inv_mass[j])
+            if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
+                dissipation += arrays.damping[k] * arrays.inv_mass[arrays.reel_row[k]]
     return max(decay, math.sqrt(swing)), dissipation

@@ -11,7 +11,7 @@ from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.equilibria import COLLAPSED, loose_beads
 from tss_ros.core.model.frames import Z_AXIS, turn_to
 from tss_ros.core.model.system import State, System
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 
 #: Samples of a turn.
 SAMPLES = 360
@@ -65,13 +65,13 @@ def look(integrator: Integrator, start: State, turns: int = 1) -> Look:
     times = integrator.period_s / count * np.arange(count + 1)
     samples, motion = integrator.samples(times), integrator.begin(start)
     integrator.advance(motion, integrator.period_s * (1.0 + 1e-9), samples=samples)
-    length, tension, taut = forces.tether_state(system, samples.r, samples.v)
+    length, tension, taut = integrator.tethers(samples)
     held = taut.any(axis=0)
     never_taut = tuple(name for name, ever in zip(system.tether_name, held) if not ever)
     loose = loose_beads(system, held)
     axis = spin_axis_of(system, start, integrator.spin)
     refusal = (
-        _turned(system, samples.r, integrator.spin or 1.0, axis, turns)
+        _turned(system, samples.r[:, : system.n], integrator.spin or 1.0, axis, turns)
         or _collapsed(system, length)
         or (loose and f"no tether that is ever taut holds {loose}")
     )

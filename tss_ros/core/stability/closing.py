@@ -17,7 +17,7 @@ from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.shooting import (
     carried_motion,
     flow_direction,
@@ -86,12 +86,13 @@ class ClosingEquations:
         self.at, self.length, self.rtol, self.cancelled = at, length_m, rtol, cancelled
         self.symmetry, self.size = symmetry, 6 * symmetry.successor.size
         self.free = np.arange(self.size)
-        if planar:
-            self.free = np.delete(self.free, np.s_[2::3])
+        part, beads = np.arange(3 * symmetry.successor.size), 3 * symmetry.beads
+        some = ((part < beads) | (part % 3 == 0)) & ~(planar & (part % 3 == 2))
+        self.free = self.free[np.tile(some, 2)]
         half = np.zeros((2, self.size))
-        half[0, : self.size // 2 : 3] = half[1, self.size // 2 :: 3] = 1.0
+        half[0, :beads:3] = half[1, part.size : part.size + beads : 3] = 1.0
         #: Velocities, and places, of all beads along the orbit, of norm 1.
-        self.kick, self.along = (half / math.sqrt(self.size / 6))[:, self.free]
+        self.kick, self.along = (half / math.sqrt(symmetry.beads))[:, self.free]
         self._integrators = OrderedDict()
 
     def copied(self, cancelled: Callable[[], bool] | None) -> ClosingEquations:
@@ -207,7 +208,7 @@ class Linearised:
     ----------
     jacobian : ndarray, shape (k + 2, k + 3)
         Of them and of the two conditions, by y.
-    matrix : ndarray, shape (6n, 6n), or None
+    matrix : ndarray, shape (6 rows, 6 rows), or None
         Variations over the part of the turn that is integrated, renamed.
     switches : int
         On the way.

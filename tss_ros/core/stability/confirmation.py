@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.configurations import deviation, disturbed, initial_state
 from tss_ros.core.model.forces import pushing_share, tether_state
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.propagator import Propagator
 from tss_ros.core.presentation import Presented, a_turn, data_frame, found, turn_in_words
 from tss_ros.core.stability.acceptance import COLLAPSED, turns_made
@@ -299,12 +299,12 @@ class UndisturbedMotion:
 
     def run(
         self, start: State, cancelled: Callable[[], bool] | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Positions [m], arms from the centre of mass [m] and velocities [m/s], and switches."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Propagator]:
+        """Positions [m], arms from the centre of mass [m], velocities [m/s], what sampled them."""
         motion = Propagator(self._system, self._ratio, start, rtol=self._rtol)
         position, velocity = motion.sample(self._times, cancelled)
         centre = np.average(position, axis=1, weights=self._system.mass_kg)
-        return position, position - centre[:, None], velocity, motion.switches
+        return position, position - centre[:, None], velocity, motion
 
     def compare(self, start: State, cancelled: Callable[[], bool] | None = None) -> DisturbedMotion:
         """What becomes of the formation from another start.
@@ -327,8 +327,8 @@ class UndisturbedMotion:
             If `cancelled` said so.
         """
         system, size, times = self._system, self.size_m, self._times
-        position, arms, velocity, switches = self.run(start, cancelled)
-        length, tension, taut = tether_state(system, position, velocity)
+        position, arms, velocity, motion = self.run(start, cancelled)
+        length, tension, taut = tether_state(system, position, velocity, motion.rests)
         shortest = float(np.min(length / system.rest_length_m))
         made = turns_made(arms, self._ratio or 1.0, self.axis) / self._turns + (not self._ratio)
         apart = np.nan_to_num(np.abs(made - 1.0))
@@ -348,7 +348,7 @@ class UndisturbedMotion:
             turns_to_settle=float(times[loud[-1] + 1] / self._period_s) if settled else math.inf,
             deviation_from_origin=float(np.max(np.abs(deviation(position, self._radius)))),
             deviation_from_centre=float(from_centre),
-            switches=switches,
+            switches=motion.switches,
             slack_share=float(np.mean(~taut)),
             pushing_share=pushing_share(tension, taut),
             turns=times / self._period_s,

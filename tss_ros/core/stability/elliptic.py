@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.orbits import require_autonomous, why_not_autonomous
 from tss_ros.core.model.system import State, System
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.judge import SMALLEST_DRIFT, drift_radius, judge_measured

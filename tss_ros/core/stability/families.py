@@ -19,7 +19,7 @@ import numpy as np
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.configurations import averaged_state
-from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
+from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry, no_symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.stability import continuation
 from tss_ros.core.stability.acceptance import look
@@ -64,11 +64,6 @@ class Closed:
     spin_loss: float
     residual: float
     origin: str
-
-
-def no_symmetry(system: System) -> Symmetry:
-    """That of motions of which nothing is known."""
-    return Symmetry(1, np.arange(system.n))
 
 
 def rate_equations(

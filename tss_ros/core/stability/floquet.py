@@ -12,9 +12,10 @@ from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.axes import named
 from tss_ros.core.model.configurations import initial_states
 from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.reel_law import reels_that_yield
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability import families, harmonic_balance, leading_multipliers
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.continuation import Ended
@@ -133,6 +134,11 @@ def _how_many(system, leading):
     """How many leading multipliers are sought, None for all."""
     if leading is None and system.n > MOST_BEADS:
         return LEADING
+    if leading is not None and reels_that_yield(system).size:
+        raise TssError(
+            "all multipliers of reels that follow tension are found or none, but leading is"
+            f" {leading}; fix the reels, or have at most {MOST_BEADS} beads and leave it out"
+        )
     if leading is not None and not 1 <= leading < 6 * system.n:
         raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")
     return leading
@@ -339,7 +345,8 @@ def _frozen(integrator, state, cancelled):
     settings = integrator.settings
     units = settings.speed, settings.length
     matrix = frozen_jacobian(integrator.system, state, *units, integrator.spin)
-    value, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))  # Eq. (37)
+    planar = stays_in_plane(integrator.system, state)
+    value, vectors = multipliers(matrix, planar, integrator.real)  # Eq. (37)
     multiplier = np.exp(value * integrator.period_s)  # Eq. (46)
     family = label(integrator, state, multiplier, vectors)
     return _result(

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.parameters import PARAMETERS, with_parameter
 from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 from tss_ros.core.stability import continuation, families
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.branches import crossing_curve

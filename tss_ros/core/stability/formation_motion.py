@@ -13,7 +13,7 @@ from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.axes import apart_deg, spin_axis_of
 from tss_ros.core.model.configurations import InitialState, averaged_state
 from tss_ros.core.model.system import System
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability import families
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED

@@ -5,6 +5,7 @@ import numpy as np
 from tss_ros.core.model import forces
 from tss_ros.core.model.feedback import analysed, with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.reel_law import rests_in_rows, rows_of
 from tss_ros.core.model.system import State, System
 
 
@@ -30,17 +31,16 @@ def frozen_jacobian(
 
     Returns
     -------
-    ndarray, shape (6n, 6n)
+    ndarray, shape (6 rows, 6 rows), as `KernelArrays` has rows
         [1/s] in these units.
     """
-    n = system.n
     arrays = with_feedback(kernel_arrays(system, 0.0), system, spin_rate_rad_s)
-    symbolic = analysed(system)
+    symbolic, n = analysed(system), arrays.inv_mass.size
+    v, r = rows_of(system, state)
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    taut = forces.acting_tethers(system, state.position_m, state.velocity_m_s)
-    forces.jacobian(
-        arrays, symbolic.pair, taut, 0.0, state.velocity_m_s, state.position_m, by_r, by_v
-    )
+    rests = rests_in_rows(system, v, r) if n > system.n else None
+    taut = forces.acting_tethers(system, state.position_m, state.velocity_m_s, rests)
+    forces.jacobian(arrays, symbolic.pair, taut, 0.0, v, r, by_r, by_v)
     matrix = np.zeros((2, n, 3, 2, n, 3))
     matrix[0, symbolic.row, :, 0, symbolic.column, :] = by_v
     matrix[0, symbolic.row, :, 1, symbolic.column, :] = by_r * (length / speed)

@@ -16,6 +16,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.reel_law import reels_that_yield
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.presentation import Presented, data_frame, found
@@ -155,14 +156,15 @@ def lyapunov_exponents(
     Cancelled
         If `cancelled` said so.
     """
-    size = 6 * system.n
     if turns < FEWEST_TURNS:
         raise TssError(f"turns must be at least {FEWEST_TURNS}, got {turns}")
+    size = 6 * system.n + 2 * reels_that_yield(system).size
     if not 1 <= count <= size:
         raise TssError(f"count must be from 1 to {size}, got {count}")
     start, integrator = start_on_orbit(system, spin_rate_ratio, rtol, state)
     motion, turn = integrator.begin(start), integrator.period_s
-    columns = np.random.default_rng(0).standard_normal((size, count))
+    columns = np.zeros((integrator.real.size, count))
+    columns[integrator.real] = np.random.default_rng(0).standard_normal((size, count))
     columns, growth = np.linalg.qr(columns)[0], np.empty((turns, count))
     for k in range(turns):
         motion, columns = carry_displacements(

@@ -20,7 +20,7 @@ from tss_ros.core.model.feedback import thrust
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import judge_exponents
 from tss_ros.core.stability.modes import label_hanging, multipliers, stays_in_plane

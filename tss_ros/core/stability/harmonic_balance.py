@@ -21,7 +21,7 @@ from tss_ros.core.model import forces
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.frames import rigid_velocity, turn_about
 from tss_ros.core.model.system import State
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.numerics import block_lu
 from tss_ros.core.numerics.fourier import differentiation, resampled
 from tss_ros.core.stability.shooting import closure

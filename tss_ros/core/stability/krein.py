@@ -50,7 +50,9 @@ def may_meet(system: System, a: FloquetResult, b: FloquetResult) -> bool:
 
 def _first_kind(system, result):
     """Phases (n,) and vectors (2n, n) of the multipliers of first kind, out of the plane."""
-    out = result.vectors[2::3] if result.vectors.size else np.empty((0, 0))
+    out, rows = np.empty((0, 0)), len(result.vectors) // 6
+    if rows:
+        out = result.vectors.reshape(2, rows, 3, -1)[:, : system.n, 2].reshape(2 * system.n, -1)
     whole = np.sum(np.abs(result.vectors) ** 2, axis=0) if out.size else np.empty(0)
     above = np.flatnonzero(np.sum(np.abs(out) ** 2, axis=0) > 0.999 * whole) if out.size else []
     if len(above) != 2 * system.n:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.numerics.arnoldi import arnoldi
 
 #: Displacements carried together, half of them in the orbit plane and half out of it.

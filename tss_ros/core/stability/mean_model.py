@@ -18,7 +18,7 @@ from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.frames import crossed, to_turning_frame, turn_about
 from tss_ros.core.model.symmetry import cyclic_symmetry
 from tss_ros.core.model.system import State
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.modes import in_turning_frame, label, multipliers, stays_in_plane
 
 #: Times of a turn over which forces are averaged.
@@ -31,13 +31,13 @@ class MeanModes:
 
     Attributes
     ----------
-    exponent : ndarray, shape (6n,), complex
+    exponent : ndarray, shape (k,), complex
         [a turn] growth and, imaginary, 2 pi times frequency.
-    vectors : ndarray, shape (6n, 6n), complex
+    vectors : ndarray, shape (6 rows, k), complex
         Columns in scaled coordinates, as seen in the frame that turns with the spin.
-    wave_number : ndarray, shape (6n,), int
+    wave_number : ndarray, shape (k,), int
         Around the formation; -1 where its cyclic symmetry is of an order below 3.
-    family : ndarray, shape (6n,), str
+    family : ndarray, shape (k,), str
         As for multipliers.
     """
 
@@ -72,7 +72,8 @@ def mean_modes(integrator: Integrator, state: State) -> MeanModes:
     """
     axis = spin_axis_of(integrator.system, state, integrator.spin)
     matrix = mean_matrix(integrator, state, axis) * integrator.period_s
-    exponent, vectors = multipliers(matrix, stays_in_plane(integrator.system, state))
+    planar = stays_in_plane(integrator.system, state)
+    exponent, vectors = multipliers(matrix, planar, integrator.real)
     seen = in_turning_frame(integrator, axis, vectors, back=True)
     with np.errstate(over="ignore", under="ignore"):
         family = label(integrator, state, np.exp(exponent), seen, exponent)
@@ -116,18 +117,18 @@ class _Turning:
 
 
 def mean_matrix(integrator: Integrator, state: State, axis: np.ndarray) -> np.ndarray:
-    """Jacobian (6n, 6n) [1/s] of scaled coordinates in the turning frame, at the mean places.
+    """Jacobian [1/s] of scaled coordinates in the turning frame, at the mean places.
 
     Tethers lie as they do on average and pull with their mean tension, changed by the little that
     keeps the beads there. To average the Jacobian itself would stiffen tethers that sway.
     """
-    system, symbolic, n = integrator.system, integrator.symbolic, integrator.system.n
+    system, symbolic, n = integrator.system, integrator.symbolic, integrator.rows
     times = integrator.period_s / SAMPLES * np.arange(SAMPLES)
     samples, motion = integrator.samples(times), integrator.begin(state)
     integrator.advance(motion, integrator.period_s, samples=samples)
-    _, tension, taut = forces.tether_state(system, samples.r, samples.v)
+    _, tension, taut = integrator.tethers(samples)
     for time, v, r in zip(times, samples.v, samples.r):
-        to_turning_frame(integrator.arrays.spin, time, v, r)
+        to_turning_frame(integrator.arrays.spin, time, v[: system.n], r[: system.n])
     turning = _Turning(integrator, axis)
     place = np.mean([turning.place(time, r) for time, r in zip(times, samples.r)], axis=0)
     arrays = _in_balance(integrator.arrays, turning, times, place, np.mean(tension, axis=0))
@@ -149,6 +150,8 @@ def mean_matrix(integrator: Integrator, state: State, axis: np.ndarray) -> np.nd
 def _in_balance(arrays, turning, times, place, tension):
     """The system with rest lengths at which tethers hold the beads at these places.
 
+    Those that are states are changed in `place`.
+
     Of all tensions (m,) that do so as well as can be, those next to the given ones.
     """
     first, second = arrays.ends.T
@@ -157,6 +160,9 @@ def _in_balance(arrays, turning, times, place, tension):
     pull, every = np.zeros((*place.shape, length.size)), np.arange(length.size)
     pull[first, :, every] = -e / length[:, None] * arrays.inv_mass[first][:, None]
     pull[second, :, every] = e / length[:, None] * arrays.inv_mass[second][:, None]
+    yielding = np.flatnonzero(arrays.reel_row >= 0)
+    row = arrays.reel_row[yielding]
+    pull[row, 0, yielding] = arrays.inv_mass[row]
     pull = pull.reshape(-1, length.size)
     outside, slack = np.zeros_like(place), np.zeros(length.size, bool)
     for time in times:
@@ -164,11 +170,14 @@ def _in_balance(arrays, turning, times, place, tension):
     missing = -outside.ravel() - pull @ tension
     tension = tension + np.linalg.lstsq(pull, missing, rcond=1e-6)[0]
     there, slope = forces.tension_and_slopes(arrays, length, np.zeros_like(length))
-    return arrays._replace(rest=arrays.rest + (there - tension) / slope)
+    rest = arrays.rest + (there - tension) / slope
+    place[row, 0] = rest[yielding]
+    rest[yielding] = arrays.rest[yielding]
+    return arrays._replace(rest=rest)
 
 
 def wave_numbers(integrator: Integrator, vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Wave number of every vector (6n, k): how its phase changes from one place to the next.
+    """Wave number of every vector (6 rows, k): how its phase changes from one place to the next.
 
     Turning the formation by 1/order of a circle and renaming its beads changes a mode of wave
     number k by the phase 2 pi k / order. Both directions count as one: 0 to order / 2.

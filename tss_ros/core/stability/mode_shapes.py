@@ -16,10 +16,17 @@ from tss_ros.core.model.frames import turn_about
 from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.presentation import Presented, a_turn, found
 from tss_ros.core.stability.mean_model import mean_modes, wave_numbers
-from tss_ros.core.stability.modes import FAMILIES, LOST, NEAR_ONE, in_turning_frame, stays_in_plane
+from tss_ros.core.stability.modes import (
+    FAMILIES,
+    LOST,
+    NEAR_ONE,
+    in_turning_frame,
+    of_beads,
+    stays_in_plane,
+)
 from tss_ros.core.stability.result import FloquetResult
 
 DIRECTIONS = ("in plane", "out of plane", "mixed")
@@ -129,7 +136,7 @@ def compute_modes(system: System, result: FloquetResult) -> list[Mode]:
         paired = _pairs(integrator, result, mean, vectors, axis)
         frequency = _frequencies(integrator, result, mean, paired)
         wave_number = mean.wave_number[paired]
-    position = vectors.reshape(2, system.n, 3, -1)[1]
+    position = of_beads(integrator, vectors)[1]
     above = _above(vectors, axis)
     kinds = np.where(above > 0.5, DIRECTIONS[1], DIRECTIONS[0])
     if not stays_in_plane(system, result.state):
@@ -152,14 +159,15 @@ def _integrator(system, result):
     require_autonomous(system, "the shapes of modes")
     if result.method != "monodromy" and not result.exponent.size:
         raise TssError(f"modes are those of the motion, but the result's method is {result.method}")
-    if result.vectors.shape[0] != 6 * system.n:
-        raise TssError(
-            f"the result has vectors of {result.vectors.shape[0] // 6} beads, the system has"
-            f" {system.n}"
-        )
     size = np.max(np.linalg.norm(result.state.position_m, axis=1))
     axis = spin_axis_of(system, result.state, result.spin_rate_rad_s)
-    return Integrator(system, result.spin_rate_rad_s, RTOL, size).driven(result.spin_loss, axis)
+    integrator = Integrator(system, result.spin_rate_rad_s, RTOL, size)
+    if len(result.vectors) != 6 * integrator.rows:
+        raise TssError(
+            f"the result has vectors of {len(result.vectors) // 6} beads and reels that yield, the"
+            f" system has {integrator.rows}"
+        )
+    return integrator.driven(result.spin_loss, axis)
 
 
 def _above(vectors, axis):
@@ -253,7 +261,7 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
         carried = np.exp(result.exponent[which] * integrator.period_s * turns) * vector
     else:
         place, carried = _carried(integrator, result.state, vector, samples)
-    shape = carried.reshape(samples + 1, 2, system.n, 3)[:, 1]
+    shape = carried.reshape(samples + 1, 2, integrator.rows, 3)[:, 1, : system.n]
     return ModeMotion(
         np.arange(samples + 1) / samples, place, shape * _to_size_one(shape[0]),
         complex(result.multiplier[which]), result.family[which], system.tether_ends,
@@ -262,12 +270,13 @@ def mode_motion(system: System, result: FloquetResult, which: int, samples: int 
 
 
 def _carried(integrator, state, vectors, samples):
-    """Positions (s + 1, n, 3) and vectors (s + 1, 6n, k) carried along the turn from a state.
+    """Positions (s + 1, n, 3) and vectors (s + 1, 6 rows, k) carried along the turn from a state.
 
     As seen in the frame that turns with the spin.
     """
     motion, axis = integrator.begin(state), spin_axis_of(integrator.system, state, integrator.spin)
-    place, carried = [np.array(motion.r)], [in_turning_frame(integrator, axis, vectors)]
+    n, carried = integrator.system.n, [in_turning_frame(integrator, axis, vectors)]
+    place = [motion.r[:n].copy()]
     spin = 0.0 if integrator.arrays.spin else integrator.spin
     parts = np.concatenate([vectors.real, vectors.imag], axis=1)
     for k in range(1, samples + 1):
@@ -275,8 +284,8 @@ def _carried(integrator, state, vectors, samples):
         motion, parts = carry_displacements(integrator, motion, parts, stop)
         real, imaginary = np.split(parts, 2, axis=1)
         turn = turn_about(axis, spin * stop)
-        turned = turn.T @ (real + 1j * imaginary).reshape(2, integrator.system.n, 3, -1)
-        place.append(motion.r @ turn)
+        turned = turn.T @ (real + 1j * imaginary).reshape(2, integrator.rows, 3, -1)
+        place.append(motion.r[:n] @ turn)
         carried.append(in_turning_frame(integrator, axis, turned.reshape(vectors.shape)))
     return np.array(place), np.array(carried)
 
@@ -309,7 +318,7 @@ def _counted(integrator, result, mean, paired):
     if not counted.any():
         return frequency
     _, carried = _carried(integrator, result.state, result.vectors[:, counted], COUNTS)
-    weight = np.tile(np.repeat(integrator.system.mass_kg, 3), 2)[:, None]
+    weight = np.tile(np.repeat(1.0 / integrator.arrays.inv_mass, 3), 2)[:, None]
     part = np.sum((weight * mean.vectors[:, paired[counted]]).conj() * carried, axis=1)
     part *= np.abs(rho[counted]) ** -(np.arange(COUNTS + 1)[:, None] / COUNTS)
     angle = np.unwrap(np.angle(part), axis=0)
@@ -321,7 +330,7 @@ def _counted(integrator, result, mean, paired):
 
 def _pairs(integrator, result, mean, vectors, axis):
     """The mode of the mean forces (k,) that each multiplier belongs to."""
-    weight = np.tile(np.repeat(np.sqrt(integrator.system.mass_kg), 3), 2)[:, None]
+    weight = np.tile(np.repeat(integrator.arrays.inv_mass**-0.5, 3), 2)[:, None]
 
     def units(vectors):
         weighted = vectors * weight

@@ -19,7 +19,7 @@ from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.feedback import feeds_back
 from tss_ros.core.model.frames import crossed, turn_to
 from tss_ros.core.model.system import State, System
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.shooting import flow_direction
 
 FAMILIES = ("centre of mass", "spin", "axis tilt", "shape", "libration")
@@ -36,30 +36,32 @@ FLAT = 0.05
 SAME = 1e-4
 
 
-def multipliers(matrix: np.ndarray, planar: bool) -> tuple[np.ndarray, np.ndarray]:
+def multipliers(
+    matrix: np.ndarray, planar: bool, real: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues and eigenvectors of a monodromy matrix, Eqs. (25) and (27).
 
     Parameters
     ----------
-    matrix : ndarray, shape (6n, 6n)
+    matrix : ndarray, shape (6 rows, 6 rows)
         In scaled coordinates, velocities first.
     planar : bool
         Whether the motion stays in the orbit plane: vectors are in it or out of it, then.
+    real : ndarray, shape (6 rows,), bool, optional
+        Which of the coordinates are some, `Integrator.real`; all if not given.
 
     Returns
     -------
-    multiplier : ndarray, shape (6n,), complex
-    vectors : ndarray, shape (6n, 6n), complex
+    multiplier : ndarray, shape (k,), complex
+        One for each of them: 6n, and two for each rest length that is a state.
+    vectors : ndarray, shape (6 rows, k), complex
         Columns, of norm 1.
     """
-    return eigen(matrix, (np.arange(len(matrix)) % 3 == 2) & planar)
-
-
-def eigen(matrix: np.ndarray, above: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same of any matrix; rows that are `above` the plane know nothing of the others."""
-    value, vectors = np.empty(len(matrix), complex), np.zeros(matrix.shape, complex)
+    real = np.ones(len(matrix), dtype=bool) if real is None else real
+    above, count = (np.arange(len(matrix)) % 3 == 2) & planar, np.count_nonzero(real)
+    value, vectors = np.empty(count, complex), np.zeros((len(matrix), count), complex)
     first = 0
-    for rows in (np.flatnonzero(~above), np.flatnonzero(above)):
+    for rows in (np.flatnonzero(real & ~above), np.flatnonzero(real & above)):
         part = slice(first, first + rows.size)
         value[part], vectors[rows, part] = np.linalg.eig(matrix[np.ix_(rows, rows)])
         first += rows.size
@@ -88,7 +90,7 @@ def label(
         At which the vectors are taken.
     multiplier : ndarray, shape (k,), complex
         All of them or some.
-    vectors : ndarray, shape (6n, k), complex
+    vectors : ndarray, shape (6 rows, k), complex
         Eigenvectors, columns in scaled coordinates, velocities first.
     exponent : ndarray, shape (k,), complex, optional
         ln of the multipliers where it is known to whole cycles; else the nearest to zero.
@@ -96,17 +98,20 @@ def label(
     Returns
     -------
     ndarray, shape (k,), str
-        Values of `FAMILIES`. A planar formation has 6, 2, 4 (a straight one 2) and the rest.
+        Values of `FAMILIES`. A planar formation has 6, 2, 4 (a straight one 2) and the rest. What
+        rest lengths add counts as shape.
     """
     n, planar = integrator.system.n, stays_in_plane(integrator.system, state)
     weight = np.sqrt(integrator.system.mass_kg / np.mean(integrator.system.mass_kg))[:, None]
     axis = spin_axis_of(integrator.system, state, integrator.spin)
-    turning = in_turning_frame(integrator, axis, vectors)
-    halves = (turning.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    turning = of_beads(integrator, in_turning_frame(integrator, axis, vectors))
+    halves = (turning * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
     above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
     moves = (weight[None] * np.eye(3)[:, None]).reshape(3, -1)
-    every, alive = multiplier.size == 6 * n, np.abs(multiplier) > LOST
+    every = multiplier.size == np.count_nonzero(integrator.real)
+    alive = (np.abs(multiplier) > LOST) & (whole > 0.0)
+    whole = np.where(whole > 0.0, whole, 1.0)
     names = np.full(multiplier.size, FAMILIES[3], dtype=object)
 
     def take(family, score, room, sure, allowed):
@@ -123,7 +128,7 @@ def label(
     along = _along(integrator, state, axis, weight, halves) / whole
     at_one = (FLAT + along) / (AT_ONE + np.abs(exponent))
     sure = (along > 0.5) & (np.abs(exponent) < NEAR_ONE)
-    # Feedback may let spin and tilt decay until they are lost: then nothing takes their place.
+    # Thrusters may let spin and tilt decay until they are lost: then nothing takes their place.
     fed_back = feeds_back(integrator.system)
     there = (along > 0.5) | (np.abs(exponent) < NEAR_ONE) | (not fed_back)
     take(FAMILIES[1], at_one, 2, sure, there & (~above if planar else alive))
@@ -183,17 +188,22 @@ def _share(basis, halves):
     return np.sum(np.abs(basis @ halves) ** 2, axis=(0, 1))
 
 
+def of_beads(integrator: Integrator, vectors: np.ndarray) -> np.ndarray:
+    """The part of vectors (6 rows, k) that is of beads, (2, n, 3, k)."""
+    return vectors.reshape(2, integrator.rows, 3, -1)[:, : integrator.system.n]
+
+
 def in_turning_frame(
     integrator: Integrator, axis: np.ndarray, vectors: np.ndarray, back: bool = False
 ) -> np.ndarray:
-    """Vectors (6n, ...) as seen in the frame that turns with the spin about an axis.
+    """Vectors (6 rows, ...) as seen in the frame that turns with the spin about an axis.
 
     Those of an integrator whose frame turns are so already. Frames coincide at the time of the
     vectors, so that velocities alone differ. `back` does the inverse.
     """
     if integrator.arrays.spin or not integrator.spin:
         return vectors
-    v, r = vectors.reshape(2, integrator.system.n, 3, -1)
+    v, r = vectors.reshape(2, integrator.rows, 3, -1)
     share = integrator.spin * integrator.settings.length / integrator.settings.speed
     share *= -1.0 if back else 1.0
     return np.stack([v - share * (crossed(axis) @ r), r]).reshape(vectors.shape)
@@ -202,7 +212,7 @@ def in_turning_frame(
 def _along(integrator, state, axis, weight, halves):
     """The same for the part along the motion, the whole formation's displacement left out."""
     flow = in_turning_frame(integrator, axis, flow_direction(integrator, state))
-    flow = flow.reshape(2, -1, 3)
+    flow = of_beads(integrator, flow)[..., 0]
     flow = weight * (flow - np.mean(weight**2 * flow, axis=1, keepdims=True))
     return np.abs(flow.ravel() @ halves.reshape(flow.size, -1)) ** 2 / np.sum(flow**2)
 

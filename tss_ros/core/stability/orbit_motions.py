@@ -18,7 +18,7 @@ from tss_ros.core.model.configurations import initial_state
 from tss_ros.core.model.elements import on_mean_circle
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.closing import CLOSED, LARGEST_CHANGE, NOTHING_LEFT, SMALL_LOSS
 from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scaled
 

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import Cancelled, IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.configurations import disturbed
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 from tss_ros.core.stability.confirmation import (
     Confirmation,
     DisturbedMotion,

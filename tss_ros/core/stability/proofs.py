@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import Cancelled, IntegrationError
-from tss_ros.core.model.feedback import feeds_back
+from tss_ros.core.model.feedback import follows_laws
 from tss_ros.core.model.forces import jacobian
 from tss_ros.core.motion.displacements import carry_displacements
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.motion.state import IntegratorState
 from tss_ros.core.stability.shooting import Turn, integrate_turn
 
@@ -86,7 +86,7 @@ def _distance(turn, integrator, settled, cancelled, parts=1):
 def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> float:
     """Error of log|det| = -sum C (1/m_i + 1/m_j) (time taut), Liouville's formula.
 
-    Laws of beads that depend on the velocity, and feedback, add what they take.
+    Laws of beads that depend on the velocity, thrusters and reels add what they take.
 
     Taken over stretches so short that the determinant does not vanish in rounding: around
     slack/taut switches and spread over the turn; all of the turn where damping is weak enough.
@@ -103,12 +103,11 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
     """
     integrator = turn.integrator
     period = integrator.period_s
-    ends = integrator.system.tether_ends
-    inverse = 1.0 / integrator.system.mass_kg
-    rates = integrator.system.damping_n_s_per_m * (inverse[ends[:, 0]] + inverse[ends[:, 1]])
+    reels = integrator.arrays.inv_mass[integrator.system.n :] * integrator.arrays.reel_law[0]
+    rates = np.append(_tether_rates(integrator), reels)
     # The fastest mode may decay a little more than once in a step; that is what limits the length.
     width = min(period / SPREAD, DECAY / max(np.sum(rates), 1e-300))
-    half = 3 * integrator.system.n
+    half = 3 * integrator.rows
     motion = integrator.begin(turn.start)
     worst = 0.0
     for begin in _stretches(turn, period, width):
@@ -125,25 +124,42 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
 
 
 def _feel_velocity(system):
-    return feeds_back(system) or any(law.by_velocity for law in system.acting_laws)
+    return follows_laws(system) or any(law.by_velocity for law in system.acting_laws)
+
+
+def _tether_rates(integrator):
+    """C (1/m_i + 1/m_j) of every tether, with 1/m of the reel it has, shape (m,)."""
+    arrays = integrator.arrays
+    weight = arrays.inv_mass[arrays.ends].sum(axis=1)
+    if arrays.reel_row.size:
+        weight += np.where(arrays.reel_row >= 0, arrays.inv_mass[arrays.reel_row], 0.0)
+    return arrays.damping * weight
 
 
 def bead_trace(integrator: Integrator, motion: IntegratorState) -> float:
-    """Trace of the beads' accelerations by velocity [1/s] where a motion is, tethers left out."""
+    """Trace of the accelerations by velocity [1/s] where a motion is, less that of its tethers.
+
+    Those count with the rest lengths as built, as `IntegratorState.dissipation` has them.
+    """
     system, symbolic = integrator.system, integrator.symbolic
     if not _feel_velocity(system):
         return 0.0
     by_r, by_v = np.empty((2, symbolic.row.size, 3, 3))
-    slack, state = np.zeros(system.m, dtype=bool), (motion.time, motion.v, motion.r)
-    jacobian(integrator.arrays, symbolic.pair, slack, *state, by_r, by_v)
-    return float(np.trace(by_v[: system.n].sum(axis=0)))
+    taut, state = np.zeros(system.m, dtype=bool), (motion.time, motion.v, motion.r)
+    counted = 0.0
+    if integrator.rows > system.n:
+        # What is out of a tether tells its damping.
+        taut = motion.taut
+        counted = float(np.sum(_tether_rates(integrator)[taut]))
+    jacobian(integrator.arrays, symbolic.pair, taut, *state, by_r, by_v)
+    return float(np.trace(by_v[: integrator.rows].sum(axis=0))) + counted
 
 
 def _bead_dissipation(integrator, motion, end):
     """Minus the trace of the beads' accelerations by velocity, integrated until a time."""
     if not _feel_velocity(integrator.system):
         return 0.0
-    none = np.empty((integrator.system.n, 3, 0))
+    none = np.empty((integrator.rows, 3, 0))
     motion = motion.with_variations(none, none)
     half, total = 0.5 * (end - motion.time), 0.0
     for time, weight in zip(motion.time + half * (NODES + 1.0), WEIGHTS):

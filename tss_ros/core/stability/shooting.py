@@ -10,9 +10,10 @@ import numpy as np
 
 from tss_ros.core.model import forces
 from tss_ros.core.model.frames import rigid_velocity
+from tss_ros.core.model.reel_law import rests_in_rows, rows_of, state_of
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.displacements import carry_displacements, check_limits
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.motion.state import IntegratorState
 
 
@@ -27,9 +28,10 @@ class Turn:
     ----------
     start, end : State
         In the orbit frame, before and after the turn.
-    matrix : ndarray, shape (6n, 6n)
-        Monodromy matrix, Eq. (26), with saltation at every slack/taut switch.
-    closure : ndarray, shape (6n,)
+    matrix : ndarray, shape (6 rows, 6 rows)
+        Monodromy matrix, Eq. (26), with saltation at every slack/taut switch; `Integrator.real`
+        tells which coordinates are some where rest lengths are states.
+    closure : ndarray, shape (6 rows,)
         Scaled x(T) - x(0).
     switches, steps : int
         Slack/taut switches and integration steps during the turn.
@@ -63,29 +65,35 @@ class Turn:
 
 
 def to_scaled(integrator: Integrator, state: State) -> np.ndarray:
-    """Scaled coordinates (6n,) in the turning frame of a `State` at time 0 or a whole turn."""
-    r, v = state.position_m, state.velocity_m_s
+    """Scaled coordinates (6 rows,) in the turning frame of a `State` at time 0 or a whole turn."""
+    v, r = (np.array(x, dtype=float) for x in rows_of(integrator.system, state))
     if integrator.orbit:
         v = integrator.orbit.into_even_frame(v, r)
-    return integrator.scaled(v - rigid_velocity(r, integrator.arrays.spin), r)
+    n = integrator.system.n
+    v[:n] -= rigid_velocity(r[:n], integrator.arrays.spin)
+    return integrator.scaled(v, r)
 
 
 def from_scaled(integrator: Integrator, x: np.ndarray) -> State:
     """Inverse of `to_scaled`."""
     v = x[: x.size // 2].reshape(-1, 3) * integrator.settings.speed
     r = x[x.size // 2 :].reshape(-1, 3) * integrator.settings.length
-    v = v + rigid_velocity(r, integrator.arrays.spin)
-    return State(r, integrator.orbit.from_even_frame(v, r) if integrator.orbit else v)
+    n = integrator.system.n
+    v[:n] += rigid_velocity(r[:n], integrator.arrays.spin)
+    return state_of(
+        integrator.system, integrator.orbit.from_even_frame(v, r) if integrator.orbit else v, r
+    )
 
 
 def flow_direction(integrator: Integrator, state: State) -> np.ndarray:
-    """Scaled rate of change (6n,) of a state in the orbit frame, Eq. (28)."""
-    arrays = integrator.arrays._replace(spin=0.0)
-    r, v = state.position_m, np.ascontiguousarray(state.velocity_m_s)
-    taut = forces.acting_tethers(integrator.system, r, v)
+    """Scaled rate of change (6 rows,) of a state in the orbit frame, Eq. (28)."""
+    arrays, n = integrator.arrays._replace(spin=0.0), integrator.system.n
+    v, r = (np.ascontiguousarray(x) for x in rows_of(integrator.system, state))
+    rests = rests_in_rows(integrator.system, v, r) if integrator.rows > n else None
+    taut = forces.acting_tethers(integrator.system, r[:n], v[:n], rests)
     a = np.empty_like(r)
-    forces.acceleration(arrays, taut, 0.0, v, np.ascontiguousarray(r), a)
-    return to_scaled(integrator, State(v, a))
+    forces.acceleration(arrays, taut, 0.0, v, r, a)
+    return to_scaled(integrator, state_of(integrator.system, a, v))
 
 
 def integrate_turn(
@@ -117,7 +125,7 @@ def integrate_turn(
     Cancelled
         If `cancelled` said so.
     """
-    size = 6 * integrator.system.n
+    size = 6 * integrator.rows
     # The fundamental solutions start from the identity, Eq. (14); at T they are the monodromy
     # matrix, Eq. (26).
     motion, matrix = integrator.begin(state), np.eye(size)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from tss_ros.core.arguments import checked
+from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
 from tss_ros.core.model.parameters import parameter_of, with_parameter
-from tss_ros.core.model.system import State, System, finite
+from tss_ros.core.model.system import State, System
 from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability import continuation, families
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tss_ros.core.model.system import State
-from tss_ros.core.motion.propagator import Integrator
+from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.judge import DRIVEN, Judgement, drift_radius, judge
 from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
 from tss_ros.core.stability.shooting import flow_direction
@@ -65,7 +65,7 @@ def spectrum(
     start : State
     end : State or None
         After the turn, to measure the matrix's error by; None if it is not to be measured.
-    matrix : ndarray, shape (6n, 6n)
+    matrix : ndarray, shape (6 rows, 6 rows)
         Monodromy matrix, Eq. (26).
     residual : float
         Of the equations that the motion was to solve.
@@ -77,7 +77,7 @@ def spectrum(
     Spectrum
     """
     planar = stays_in_plane(integrator.system, start)
-    multiplier, vectors = multipliers(matrix, planar)  # Eqs. (25) and (27)
+    multiplier, vectors = multipliers(matrix, planar, integrator.real)  # Eqs. (25) and (27)
     family = label(integrator, start, multiplier, vectors)
     error, flow_error = integrator.rtol, math.nan
     if end is not None:

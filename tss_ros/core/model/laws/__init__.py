@@ -11,6 +11,7 @@ from tss_ros.core.model.laws import (
     kelvin_voigt,
     oblateness,
     orbit,
+    reel,
     solar_pressure,
     stiffening,
     tension_only,
@@ -25,8 +26,8 @@ BEAD_LAWS: tuple[BeadLaw, ...] = (
 )  # fmt: skip
 #: What thrusters of satellites do: likewise.
 THRUST_LAWS: tuple[ThrustLaw, ...] = (feedback.ROTATION_DAMPING_LAW, feedback.SHAPE_KEEPING_LAW)
-#: Parameters that no law has for itself: the limit of thrusters, and the elements of the orbit.
-_OTHERS = (feedback.THRUST_LIMIT, *orbit.ELEMENTS)
+#: Parameters of no such law: the limit of thrusters, reels, and the elements of the orbit.
+_OTHERS = (feedback.THRUST_LIMIT, *reel.PARAMETERS, *orbit.ELEMENTS)
 
 _OWN = own_laws((*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS), _OTHERS)
 TETHER_LAWS += tuple(law for law in _OWN if isinstance(law, TetherLaw))

@@ -1,0 +1,43 @@
+"""Kernels of reels that follow the tension of their tethers, `laws.reel`."""
+
+from tss_ros.core.numerics.simd import kernel
+
+
+@kernel
+def let_reels_go(arrays, v, r, a):
+    """Second rates of change [m/s^2] of rest lengths by all but tension, into their rows."""
+    against, back = arrays.reel_law
+    for q in range(arrays.reel_segment.size):
+        row, built = arrays.beads + q, arrays.rest[arrays.reel_segment[q]]
+        pull = arrays.reel_aim[q] + back * (r[row, 0] - built) + against * v[row, 0]
+        a[row, 0] = -arrays.inv_mass[row] * pull
+        a[row, 1] = 0.0 * pull
+        a[row, 2] = 0.0 * pull
+
+
+@kernel
+def linearise_reel(arrays, pair, k, state, slopes, by_r, by_v):
+    """Add the derivatives of what a taut tether does by its rest length, and to its reel.
+
+    `state` is e and w as tuples, l and l'; `slopes` those of the tension by l, by L and by l'.
+    """
+    row, tethers = arrays.reel_row[k], arrays.ends.shape[0]
+    if row < 0:
+        return
+    i, j = arrays.ends[k, 0], arrays.ends[k, 1]
+    first = tethers + 2 * (row - arrays.beads)
+    (e, w, length, growth), (by_length, by_rest, by_rate) = state, slopes
+    mi, mj, own = arrays.inv_mass[i], arrays.inv_mass[j], arrays.inv_mass[row]
+    by_r[row, 0, 0] += own * by_rest
+    by_v[row, 0, 0] -= own * by_rate
+    for p in range(3):
+        unit = e[p] / length
+        by_r[pair[first, 0], p, 0] -= mi * by_rest * unit
+        by_r[pair[first + 1, 0], p, 0] += mj * by_rest * unit
+        by_v[pair[first, 0], p, 0] += mi * by_rate * unit
+        by_v[pair[first + 1, 0], p, 0] -= mj * by_rate * unit
+        along = own * (by_length * unit + by_rate * (w[p] - growth * unit) / length)
+        by_r[pair[first, 1], 0, p] += along
+        by_r[pair[first + 1, 1], 0, p] -= along
+        by_v[pair[first, 1], 0, p] += own * by_rate * unit
+        by_v[pair[first + 1, 1], 0, p] -= own * by_rate * unit
