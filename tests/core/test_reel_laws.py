@@ -169,3 +169,18 @@ def test_states_have_the_rest_lengths_of_their_system():
         slower = Commands.of(STAR, reel={"tether_1": (0.0, 9e3)})
         Propagator(STAR, -2.9, start, plan=[(0.0, slower)])
     assert {p.name for p in PARAMETERS} <= set(core.PARAMETERS)
+
+
+def test_each_reel_holds_its_own_steady_tension():
+    """Spokes and rim of a hub pull unlike: nothing is paid out in the steady turn even so."""
+    lengths = [10e3] * 6 + [10.0001e3] * 6
+    hub = core.formation(
+        "closed_hub_and_spoke", 6, tether_length_m=lengths, damping_n_s_per_m=100.0, **LAW
+    )
+    aim_n = reel_tension_n(hub, -6.0)
+    assert np.ptp(aim_n) > 0.4
+    found = core.compute_floquet(hub, -6.0, certify=False)
+    assert found.closure_residual < 1e-8 and found.verdict != "none found"
+    assert np.max(np.abs(found.state.reel_length_m - hub.rest_length_m)) < 1.0
+    given = core.ring(reel_tension_n=2.5, **LAW)
+    assert reel_tension_n(given, -2.9).tolist() == [2.5] * 3

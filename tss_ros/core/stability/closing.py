@@ -33,7 +33,7 @@ CLOSED, NOTHING_LEFT = 1e-6, 1e-10
 WORTH_IT, STILL_SERVES = 0.9, 0.3
 #: Largest change of a scaled coordinate in one correction, most corrections of one start, and
 #: singular values, over the largest, that count as none.
-LARGEST_CHANGE, MOST_CORRECTIONS, SINGULAR = 0.2, 24, 1e-10
+LARGEST_CHANGE, MOST_CORRECTIONS, SINGULAR = 0.2, 24, 1e-8
 #: Steps of the drive's share of the spin and of p over its value, for derivatives.
 SMALL_LOSS, SMALL_CHANGE = 1e-5, 1e-5
 
