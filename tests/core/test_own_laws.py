@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tss_ros.core.model.laws import BEAD_LAWS, TETHER_LAWS, THRUST_LAWS
+from tss_ros.core.model.laws import BEAD_LAWS, REEL_LAWS, TETHER_LAWS, THRUST_LAWS
 from tss_ros.core.model.own_laws import statement
 
 ROOT = Path(__file__).parents[2]
@@ -297,14 +297,89 @@ print(json.dumps([np.abs(at_rest).max(), *(float(z) for z in thrust(system, -2.5
 """
 
 
-def test_the_law_of_the_page_does_what_the_page_says(tmp_path):
+def documented():
+    """The laws of the page: of thrusters, of reels."""
     page = (ROOT / "docs" / "howto" / "own_law.md").read_text("utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", page, re.S)
-    (tmp_path / "soft_thrust.py").write_text(code)
+    return re.findall(r"```python\n(.*?)```", page, re.S)
+
+
+def test_the_law_of_the_page_does_what_the_page_says(tmp_path):
+    (tmp_path / "soft_thrust.py").write_text(documented()[0])
     at_rest, *found = answer(DOCUMENTED, tmp_path, "soft_thrust:LAW")
     expected = [-0.2 * e / (0.05**2 + e**2) ** 0.5 for e in (0.1, -0.05, -0.05)]
     assert at_rest < 1e-9
     assert found == pytest.approx(expected, rel=1e-9)
+
+
+REELS = """
+import json
+import numpy as np
+from tss_ros.core import averaged_state, ring
+from tss_ros.core.model import forces
+from tss_ros.core.model.feedback import with_feedback
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.reel_law import rows_of
+
+system = ring(slip_n=0.2, reel_damping_n_s_per_m=30.0, reel_mass_kg=4.0, reel_tension_n=0.5)
+arrays = with_feedback(kernel_arrays(system, 0.0), system, system.spin_rate_rad_s(-2.5))
+v, r = (np.array(x) for x in rows_of(system, averaged_state(system, -2.5)))
+v[3:, 0], r[3:, 0] = (1e-3, 0.0, -0.5), (10e3, 10e3, 10001.0)
+a = np.empty_like(r)
+forces.acceleration(arrays, np.zeros(3, dtype=bool), 0.0, v, r, a)
+print(json.dumps(a[3:].tolist()))
+"""
+
+
+def test_the_brake_of_the_page_holds_beside_the_law_of_the_package(tmp_path):
+    (tmp_path / "slip.py").write_text(documented()[1])
+    found = answer(REELS, tmp_path, "slip:LAW")
+    rate, out = (1e-3, 0.0, -0.5), (0.0, 0.0, 1.0)
+    force = [
+        0.2 * x / (1e-6 + x**2) ** 0.5 + y + 30.0 * x + 1.0 * y for x, y in zip(rate, out)
+    ]  # fmt: skip
+    assert found == [pytest.approx([-(0.5 + f) / 4.0, 0.0, 0.0], rel=1e-9) for f in force]
+
+
+SLIPPING = """
+import json
+import numpy as np
+from tss_ros import core
+from tss_ros.core.motion.displacements import carry_displacements
+from tss_ros.core.motion.integrator import Integrator
+from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scaled
+
+law = {"slip_n": 0.3, "slip_width_m_s": 0.01, "reel_mass_kg": 5.0}
+system = core.ring(damping_n_s_per_m=20.0, **law)
+start = core.disturbed(core.initial_state(system, -2.9), 3.0, 1)
+motor = Integrator(system, system.spin_rate_rad_s(-2.9), 1e-12, 6e3)
+x = to_scaled(motor, start)
+motion, matrix = carry_displacements(motor, motor.begin(start), np.eye(x.size), 200.0)
+missed = []
+for k in np.flatnonzero(motor.real):
+    ends = []
+    for step in (1e-7, -1e-7):
+        beside = x.copy()
+        beside[k] += step
+        end = carried_motion(motor, from_scaled(motor, beside), 200.0)
+        ends.append(motor.scaled(end.v, end.r))
+    missed.append(np.max(np.abs((ends[0] - ends[1]) / 2e-7 - matrix[:, k])[motor.real]))
+found = core.compute_floquet(system, -2.9)
+print(json.dumps({
+    "switches": motion.switches, "missed": max(missed), "largest": np.abs(matrix).max(),
+    "verdict": found.verdict, "count": len(found.multiplier), "decided": found.deciding_modulus,
+    "liouville": found.liouville_error,
+}))
+"""
+
+
+@pytest.mark.long
+def test_multipliers_of_reels_with_a_brake_of_ones_own_are_differences(tmp_path):
+    (tmp_path / "slip.py").write_text(documented()[1])
+    found = answer(SLIPPING, tmp_path, "slip:LAW")
+    assert found["switches"] >= 1
+    assert found["missed"] < 1e-5 * max(1.0, found["largest"])
+    assert found["verdict"] == "asymptotically stable" and found["count"] == 24
+    assert 0.0 < found["decided"] < 1.0 and found["liouville"] < 1e-6
 
 
 # -- laws that are refused -------------------------------------------------------------------------
@@ -422,6 +497,24 @@ BAD = {
         " lambda t: t.stiffness * (t.length - t.rest) ** 2, pushes=True)",
         "the energy's slope must be the tension at rate 0",
     ),
+    "reel's rest": (
+        'LAW = ReelLaw("l", "", lambda r, gain: gain * (r.rate + 1.0), (GAIN,))',
+        "the force must be 0 where nothing is paid out and the reel stands, got 10 N",
+    ),
+    "reel's jump": (
+        'LAW = ReelLaw("l", "", lambda r, gain: gain * r.rate / sqrt(r.rate**2 + r.paid_out**2),'
+        " (GAIN,))",
+        "where the reel stands the force has no",
+    ),
+    "reel's components": (
+        'LAW = ReelLaw("l", "", lambda r, gain: (gain * r.rate, 0.0), (GAIN,))',
+        "its force failed: TypeError",
+    ),
+    "parameter of reels": (
+        'LAW = ReelLaw("l", "", lambda r, paid_out: paid_out * r.rate,'
+        ' (LawParameter("paid_out", "", "", 0, 1, 0),))',
+        "another name: 'paid_out' is taken",
+    ),
     "no law": ("LAW = GAIN", "bad:LAW of TSS_ROS_LAWS must be a BeadLaw, .*, got LawParameter"),
     "not there": ("", "bad:LAW of TSS_ROS_LAWS could not be loaded: AttributeError"),
     "its own error": ("raise OSError('no file')", "could not be loaded: OSError: no file"),
@@ -430,7 +523,7 @@ BAD = {
     ),
 }  # fmt: skip
 BEGINNING = """
-from tss_ros.core.model.contract import BeadLaw, LawParameter, TetherLaw, ThrustLaw
+from tss_ros.core.model.contract import BeadLaw, LawParameter, ReelLaw, TetherLaw, ThrustLaw
 from tss_ros.core.numerics.expressions import sqrt
 
 GAIN = LawParameter("gain", "Gain", "N s/m", 0.0, 1e3, 0.0)
@@ -498,7 +591,9 @@ def test_a_parameter_that_scenarios_have_already_is_refused(name, tmp_path):
     assert words in done.stderr
 
 
-@pytest.mark.parametrize("law", [*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS], ids=lambda law: law.name)
+@pytest.mark.parametrize(
+    "law", [*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS, *REEL_LAWS], ids=lambda law: law.name
+)
 def test_the_package_s_own_laws_would_pass(law):
     if getattr(law, "orbit", None) is None:
         assert statement(law)

@@ -238,14 +238,14 @@ def test_the_law_keeps_the_limits_of_reels(tmp_path):
     ({"reel_sample_s": 0.0}, "reel_sample_s must be greater than 0, got 0"),
     ({"reel_sample_s": "often"}, "reel_sample_s must be a number, got 'often'"),
     ({"reels": {"all": {"time_s": [0, 1], "length_m": [10e3, 9e3]}}},
-     "reels are given and reel_damping_n_s_per_m is 1000; allowed: profiles, or their law"),
+     "reels are given and reel_damping_n_s_per_m lets reels follow tension; allowed: profiles"),
     ({"shape_keeping_n_per_m": 0.001}, "shape_keeping_n_per_m keeps one shape"),
     ({"reel_sample_s": 5.0},
      "reel_sample_s is 5 s; allowed: whole multiples of publish_period_s, 2 s, as 4 or 6"),
     ({"reel_sample_s": 0.5}, "publish_period_s, 2 s, as 2"),
     ({"reel_sample_s": None, "deployed_m": 5e3},
-     "deployed_m is given and reel_damping_n_s_per_m is 1000; allowed: the whole length, or"
-     " reel_sample_s"),
+     "deployed_m is given and reel_damping_n_s_per_m lets reels follow tension; allowed: the whole"
+     " length, or reel_sample_s"),
     ({"reel_sample_s": None, "failures": [{"at_s": 1.0, "dead": "tether_1"}]},
      "actuator is 'tether_1', a reel that follows tension all the time"),
 ])  # fmt: skip

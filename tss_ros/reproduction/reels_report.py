@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from tss_ros.core.model.laws.reel import REEL_MASS, REEL_STIFFNESS
 from tss_ros.plots.style import (
@@ -56,7 +55,7 @@ def reels_figure(found: Mapping[str, Any]) -> Figure:
                       color=COLOURS[i], marker=MARKERS[i], linestyle=LINE_STYLES[i],
                       label=label)  # fmt: skip
         axes.set(yscale="log")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set_title(f"{satellites} satellites after a push of {push:g} m", fontsize=9, color=INK)
         finish(axes, "turn", "largest change of a tether's length [m]")
     legend_below(figure, axes, columns=3)

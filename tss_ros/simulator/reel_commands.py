@@ -11,6 +11,7 @@ import numpy as np
 from tss_ros.core import System, TssError
 from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
 from tss_ros.core.model.laws.reel import REEL_DAMPING
+from tss_ros.core.model.reel_law import what_yields
 from tss_ros.core.model.reels import LEAST_M, NEVER_M, whole_lengths
 from tss_ros.scenarios.parameters import REEL_LIMITS
 from tss_ros.scenarios.reels import Reels
@@ -254,8 +255,8 @@ def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> Ree
     given = loaded.reels or Reels({}, {})
     lengths, profiles = given.of(system)
     every = 0
-    if damping := system.law_parameters[REEL_DAMPING.name]:
-        law = f"{REEL_DAMPING.name} is {damping:g}"
+    if acting := what_yields(system):
+        law = f"{acting} lets reels follow tension"
         if profiles:
             raise TssError(f"reels are given and {law}; allowed: profiles, or their law")
         if given.sample_s is None:
@@ -264,6 +265,11 @@ def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> Ree
                     f"deployed_m is given and {law}; allowed: the whole length, or reel_sample_s"
                 )
             return None
+        if acting != REEL_DAMPING.name:
+            raise TssError(
+                f"reel_sample_s is given and {law}; allowed: {REEL_DAMPING.name} alone, which a"
+                " controller can sample"
+            )
         every = _states_between(given.sample_s, publish_period_s)
     elif loaded.reels is None:
         return None

@@ -13,8 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from tss_ros.core import Commands, System, TssError
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
-from tss_ros.core.model.laws.reel import REEL_DAMPING
-from tss_ros.core.model.reel_law import reels_that_yield
+from tss_ros.core.model.reel_law import what_yields
 from tss_ros.core.model.reels import reel_index, reel_names, reels
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator.reel_commands import (
@@ -220,9 +219,9 @@ class ReelTopics:
             time_ns = self._read_time(message.header.stamp, simulation.newest.time_ns)
             if system.law_parameters[SHAPE_KEEPING.name]:
                 raise TssError(f"{SHAPE_KEEPING.name} keeps one shape; allowed with reels: 0")
-            if reels_that_yield(simulation.setup.moving_system).size:
+            if words := what_yields(simulation.setup.moving_system):
                 raise TssError(
-                    f"{REEL_DAMPING.name} moves the reels all the time; allowed with commands:"
+                    f"{words} moves the reels all the time; allowed with commands:"
                     " 0, or the scenario's reel_sample_s"
                 )
             commands = read(message, system, time_ns, self._options())

@@ -1,9 +1,10 @@
 """What a law states, and from which everything else follows.
 
 A tether law states the tension of a taut tether, a bead law the acceleration of a bead, a thrust
-law the thrust of a satellite, each as an expression of `numerics.expressions`. Values, Jacobians,
-Taylor series and variations are made of it (`model.made`, `model.feedback_thrust`). Registered laws
-are held to what they declare: those of the package by tests, others when they are loaded.
+law the thrust of a satellite, a reel law the force that holds a tether, each as an expression of
+`numerics.expressions`. Values, Jacobians, Taylor series and variations are made of it
+(`model.made`, `model.feedback_thrust`, `model.reel_yield`). Registered laws are held to what they
+declare: those of the package by tests, others when they are loaded.
 """
 
 from __future__ import annotations
@@ -223,3 +224,45 @@ class ThrustLaw:
     meaning: str
     thrust: Callable[..., Vector]
     parameters: tuple[LawParameter, ...]
+
+
+@dataclass(frozen=True)
+class Reeled:
+    """A reel that follows the tension of its tether, as a law sees it.
+
+    Attributes
+    ----------
+    paid_out : Expression
+        L - L_0 [m]: rest length of the segment next to it, less that as built.
+    rate : Expression
+        L' [m/s]
+    """
+
+    paid_out: Expression
+    rate: Expression
+
+
+@dataclass(frozen=True)
+class ReelLaw:
+    """What every reel holds its tether with.
+
+    The drum obeys m L'' = T - T_0 - F, T being the tension next to it: it pays out faster where the
+    tether pulls harder. The forces F of several laws are added.
+
+    Attributes
+    ----------
+    name, meaning : str
+    force : callable
+        Of a `Reeled` and the law's parameters by name: F [N], 0 where nothing is paid out and the
+        reel stands.
+    parameters : tuple of LawParameter
+        The law acts where the first of them is not zero.
+    """
+
+    name: str
+    meaning: str
+    force: Callable[..., Expression]
+    parameters: tuple[LawParameter, ...]
+
+
+Law = BeadLaw | TetherLaw | ThrustLaw | ReelLaw

@@ -17,8 +17,7 @@ from tss_ros.core.arguments import finite
 from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.cubics import cubic_at
-from tss_ros.core.model.laws.reel import REEL_DAMPING
-from tss_ros.core.model.reel_law import reels_that_yield
+from tss_ros.core.model.reel_law import reels_that_yield, what_yields
 from tss_ros.core.model.reels import LEAST_M, reel_names
 from tss_ros.core.model.system import System
 
@@ -156,7 +155,8 @@ def require_obedient(system: System, place: int) -> None:
     if place >= system.n and reels_that_yield(system).size:
         raise TssError(
             f"actuator is {actuator_name(system, place)!r}, a reel that follows tension all the"
-            f" time ({REEL_DAMPING.name}); allowed: reels that obey commands, as with reel_sample_s"
+            f" time ({what_yields(system)}); allowed: reels that obey commands, as with"
+            " reel_sample_s"
         )
 
 

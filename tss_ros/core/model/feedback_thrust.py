@@ -9,11 +9,10 @@ import math
 
 from tss_ros.core.model.laws import LAW_PARAMETERS, THRUST_LAWS
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
-from tss_ros.core.model.made import CONSTANT_SOURCES, SCALARS
+from tss_ros.core.model.made import CONSTANT_SOURCES, sum_of_laws
 from tss_ros.core.model.stated import MASS, PLACE, SHAPE, SPEED, SPIN, TURN, thrust_of
-from tss_ros.core.numerics.expressions import as_number, derivative
+from tss_ros.core.numerics.expressions import derivative
 from tss_ros.core.numerics.simd import inlined, kernel, python_kernel
-from tss_ros.core.numerics.value_maker import INDENT, compiled_source, function_of
 
 _LIMIT = LAW_PARAMETERS.index(THRUST_LIMIT)
 #: What the made functions are given of a satellite.
@@ -24,22 +23,8 @@ _INPUTS = {s: f"seen[{k}]" for k, s in enumerate(_SEEN)} | {SPIN: "arrays.spin"}
 THRUSTS = tuple(map(thrust_of, THRUST_LAWS))
 
 
-def _sum_of_laws(name, outputs):
-    """A function of the sums over the laws that act, of each one's expressions; then their code."""
-    sums = [f"s{k}" for k in range(len(outputs[0]))]
-    functions, lines = {}, [f"def {name}({_VALUE}):", f"{INDENT}{' = '.join(sums)} = 0.0"]
-    for i, (law, expressions) in enumerate(zip(THRUST_LAWS, outputs)):
-        own = f"{name}_{law.name}"
-        there = {s: e for s, e in zip(sums, expressions) if as_number(e) != 0.0}
-        if not there:
-            continue
-        functions[own] = inlined(function_of(own, _VALUE, _INPUTS, there.values(), SCALARS))
-        lines.append(f"{INDENT}if arrays.thrusting & {1 << i}:")
-        lines.append(f"{2 * INDENT}d = {own}({_VALUE})")
-        value = "d[{}]" if len(there) > 1 else "d"
-        lines += [f"{2 * INDENT}{s} += {value.format(k)}" for k, s in enumerate(there)]
-    lines.append(f"{INDENT}return {', '.join(sums)}")
-    return inlined(compiled_source(name, "\n".join(lines) + "\n", functions))
+def _sum(name, outputs):
+    return sum_of_laws(name, THRUST_LAWS, outputs, (_VALUE, _INPUTS), "arrays.thrusting")
 
 
 def _slopes(by):
@@ -48,12 +33,12 @@ def _slopes(by):
 
 
 #: Thrust wanted of a satellite [N], and its derivatives by place, velocity and shape (9 each).
-_wanted = _sum_of_laws("thrust", THRUSTS)
-_by_place = _sum_of_laws("thrust_by_place", _slopes(PLACE))
-_by_speed = _sum_of_laws("thrust_by_speed", _slopes(SPEED))
-_by_shape = _sum_of_laws("thrust_by_shape", _slopes(SHAPE))
+_wanted = _sum("thrust", THRUSTS)
+_by_place = _sum("thrust_by_place", _slopes(PLACE))
+_by_speed = _sum("thrust_by_speed", _slopes(SPEED))
+_by_shape = _sum("thrust_by_shape", _slopes(SHAPE))
 #: How it changes with the rate that is aimed at.
-_by_turn = _sum_of_laws("thrust_by_turn", _slopes((TURN,)))
+_by_turn = _sum("thrust_by_turn", _slopes((TURN,)))
 
 
 @kernel

@@ -32,7 +32,7 @@ from tss_ros.core.model.made import (
     tension_and_slope_of_arrays,
     tension_by_rest,
 )
-from tss_ros.core.model.reel_yield import let_reels_go, linearise_reel
+from tss_ros.core.model.reel_yield import let_reels_go, linearise_forces, linearise_reel
 from tss_ros.core.model.reels import NEVER_M
 from tss_ros.core.model.sky import MEAN_MOTION, sky_at
 from tss_ros.core.model.system import System
@@ -200,9 +200,8 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             by_r[i, 1, 2] -= dx
             by_r[i, 2, 0] -= dy
             by_r[i, 2, 1] += dx
-    for row in range(arrays.beads, arrays.inv_mass.size):
-        by_r[row, 0, 0] -= arrays.inv_mass[row] * arrays.reel_law[1]
-        by_v[row, 0, 0] -= arrays.inv_mass[row] * arrays.reel_law[0]
+    if arrays.reel_segment.size > 0:
+        linearise_forces(arrays, v, r, by_r, by_v)
     if arrays.satellite.size > 0:
         others = pair[arrays.ends.shape[0] + 2 * arrays.reel_segment.size :]
         add_thrust_gradient(arrays, others, v, r, by_r, by_v)

@@ -51,8 +51,8 @@ class KernelArrays(NamedTuple):
         Segments whose rest lengths are states, in the order of the rows.
     reel_aim : ndarray, shape (p,)
         T_0 [N] of their reels, `laws.reel`.
-    reel_law : tuple of two float
-        c [N s/m] and k [N/m] of all of them.
+    reeling : int
+        Which of `laws.REEL_LAWS` act, one bit each.
     bilateral, pushes : bool
         Whether segments are always taut, and whether taut ones may push.
     tension : int
@@ -104,7 +104,7 @@ class KernelArrays(NamedTuple):
     reel_row: np.ndarray
     reel_segment: np.ndarray
     reel_aim: np.ndarray
-    reel_law: tuple[float, float]
+    reeling: int
     bilateral: bool
     pushes: bool
     tension: int
@@ -159,7 +159,7 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         reel_row=np.empty(0, dtype=np.int64),
         reel_segment=np.empty(0, dtype=np.int64),
         reel_aim=np.empty(0),
-        reel_law=(0.0, 0.0),
+        reeling=0,
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),
         tension=TENSION_INDEX[system.tether_law],

@@ -71,6 +71,39 @@ def _choice(name, arguments, pieces, condition, names):
     return compiled_source(name, "\n".join([*lines, INDENT + "return result"]) + "\n", names)
 
 
+def sum_of_laws(name, laws, outputs, seen, acting):
+    """A function of the sums over the laws that act, of the expressions of each.
+
+    Parameters
+    ----------
+    name : str
+    laws : sequence of laws
+    outputs : sequence of sequence of Expression
+        As many of each law; where they are 0 for all of them, so is the sum.
+    seen : tuple
+        The function's arguments, as source, and what the symbols are in it.
+    acting : str
+        Source of which of the laws act, one bit each.
+    """
+    arguments, inputs = seen
+    sums = [f"s{k}" for k in range(len(outputs[0]))]
+    functions, lines = {}, [f"def {name}({arguments}):", f"{INDENT}{' = '.join(sums)} = 0.0"]
+    for i, (law, expressions) in enumerate(zip(laws, outputs)):
+        own = f"{name}_{law.name}"
+        there = {s: e for s, e in zip(sums, expressions) if as_number(e) != 0.0}
+        if not there:
+            continue
+        functions[own] = simd.inlined(
+            function_of(own, arguments, inputs, there.values(), SCALARS)
+        )
+        lines.append(f"{INDENT}if {acting} & {1 << i}:")
+        lines.append(f"{2 * INDENT}d = {own}({arguments})")
+        value = "d[{}]" if len(there) > 1 else "d"
+        lines += [f"{2 * INDENT}{s} += {value.format(k)}" for k, s in enumerate(there)]
+    lines.append(f"{INDENT}return {', '.join(sums)}")
+    return simd.inlined(compiled_source(name, "\n".join(lines) + "\n", functions))
+
+
 _TETHER_VALUE = "arrays, length, rate, rest, stiffness, damping"
 #: Laws of the same tension share their code: the index into `TENSIONS` of every law's tension.
 TENSIONS = tuple(dict.fromkeys(tension_of(law) for law in TETHER_LAWS))

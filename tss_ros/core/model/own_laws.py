@@ -16,9 +16,10 @@ import numpy as np
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.fingerprint import OWN_LAWS
-from tss_ros.core.model.contract import BeadLaw, LawParameter, TetherLaw, ThrustLaw
+from tss_ros.core.model.contract import Law, LawParameter, ReelLaw, TetherLaw, ThrustLaw
 from tss_ros.core.model.stated import (
     OF_BEADS,
+    OF_REELS,
     OF_SATELLITES,
     OF_TETHERS,
     PLACE,
@@ -32,6 +33,7 @@ from tss_ros.core.model.stated import (
     acceleration_in_sky,
     energy_of,
     of_parameters,
+    reel_force_of,
     tension_of,
     thrust_of,
 )
@@ -42,8 +44,6 @@ GROUP, VARIABLE = "tss_ros.laws", "TSS_ROS_LAWS"
 #: What may differ by rounding between numbers that ought to be equal, over the largest of them.
 ROUNDING = 1e-9
 _ROOTS = {"sqrt": math.sqrt, "exp": math.exp}
-
-Law = BeadLaw | TetherLaw | ThrustLaw
 
 
 def own_laws(laws: Sequence[Law], others: Sequence[LawParameter]) -> tuple[Law, ...]:
@@ -77,7 +77,8 @@ def own_laws(laws: Sequence[Law], others: Sequence[LawParameter]) -> tuple[Law, 
             ) from error
         if not isinstance(law, Law):
             raise TssError(
-                f"{where} must be a BeadLaw, TetherLaw or ThrustLaw, got {type(law).__name__}"
+                f"{where} must be a BeadLaw, TetherLaw, ThrustLaw or ReelLaw, got"
+                f" {type(law).__name__}"
             )
         try:
             _check_names(law, (*laws, *found), others)
@@ -99,6 +100,9 @@ def _declared():
         yield f"{value} of {VARIABLE}", EntryPoint(value, value, GROUP)
 
 
+#: Names of all that laws may use beside their own parameters.
+_SYMBOLS = {s.name for s in (*OF_TETHERS, *OF_BEADS, *OF_SATELLITES, *OF_REELS)}
+
 # -- names -----------------------------------------------------------------------------------------
 
 
@@ -116,7 +120,7 @@ def _check_names(law, laws, others):
             raise TssError(f"its parameters must be LawParameters, got {p!r:.80}")
         if not p.name.isidentifier():
             raise TssError(f"names of parameters must be words like my_gain, got {p.name!r}")
-        if p.name in taken or p.name in {s.name for s in (*OF_TETHERS, *OF_BEADS, *OF_SATELLITES)}:
+        if p.name in taken or p.name in _SYMBOLS:
             raise TssError(f"its parameter needs another name: {p.name!r} is taken")
         taken.add(p.name)
         if not -math.inf < p.minimum <= p.default <= p.maximum < math.inf:
@@ -145,6 +149,8 @@ def statement(law: Law) -> str:
         known, outputs = OF_TETHERS, (tension_of(law), energy_of(law))
     elif isinstance(law, ThrustLaw):
         known, outputs = OF_SATELLITES, _vector("thrust", lambda: thrust_of(law))
+    elif isinstance(law, ReelLaw):
+        known, outputs = OF_REELS, _stated("force", lambda: [reel_force_of(law)])
     else:
         known, outputs = OF_BEADS, _vector("acceleration", lambda: acceleration_in_sky(law))
     own = set(of_parameters(law).values())
@@ -179,14 +185,19 @@ def _listed(those):
 
 def _vector(what, stated):
     """Three components, or what is wrong with them."""
-    advice = "write + - * /, ** with a number, and sqrt, exp, excess of numerics.expressions"
-    try:
-        vector = stated()
-    except Exception as error:
-        raise TssError(f"its {what} failed: {type(error).__name__}: {error}; {advice}") from error
+    vector = _stated(what, stated)
     if len(vector) != 3:
         raise TssError(f"its {what} must have three components, got {len(vector)}")
-    return tuple(map(add, vector))
+    return vector
+
+
+def _stated(what, stated):
+    """What a law states, or what is wrong with it."""
+    advice = "write + - * /, ** with a number, and sqrt, exp, excess of numerics.expressions"
+    try:
+        return tuple(map(add, stated()))
+    except Exception as error:
+        raise TssError(f"its {what} failed: {type(error).__name__}: {error}; {advice}") from error
 
 
 class _Held:
@@ -219,6 +230,8 @@ class _Held:
             self._tether(*outputs)
         elif isinstance(self.law, ThrustLaw):
             self._thrust(outputs)
+        elif isinstance(self.law, ReelLaw):
+            self._reel(*outputs)
         else:
             self._bead(outputs)
 
@@ -262,6 +275,17 @@ class _Held:
             raise TssError(f"in the steady turn the thrust {error}: make it smooth") from None
         if not self._turns_along(outputs, self._turned(self.values, (PLACE, SPEED, SHAPE))):
             raise TssError("the thrust must turn with the satellites: x and y are no directions")
+
+    def _reel(self, force):
+        rest, slopes = dict.fromkeys(OF_REELS, 0.0), [derivative(force, by) for by in OF_REELS]
+        try:
+            held, *_ = self.numbers([force, *slopes], rest)
+        except TssError as error:
+            raise TssError(f"where the reel stands the force {error}: make it smooth") from None
+        if not abs(held) < ROUNDING:
+            raise TssError(
+                f"the force must be 0 where nothing is paid out and the reel stands, got {held:g} N"
+            )
 
     def _bead(self, outputs):
         law, felt = self.law, symbols(*outputs)

@@ -8,12 +8,24 @@ import numpy as np
 
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import averaged_state
+from tss_ros.core.model.contract import ReelLaw
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.kernel_arrays import KernelArrays
-from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_MASS, REEL_STIFFNESS, REEL_TENSION
+from tss_ros.core.model.laws import REEL_LAWS
+from tss_ros.core.model.laws.reel import REEL_MASS, REEL_TENSION
 from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.reels import reels
 from tss_ros.core.model.system import State, System
+
+
+def acting_reel_laws(system: System) -> tuple[ReelLaw, ...]:
+    """The laws by which reels follow the tension of their tethers."""
+    return tuple(law for law in REEL_LAWS if system.law_parameters[law.parameters[0].name])
+
+
+def what_yields(system: System) -> str:
+    """The parameters that let reels follow tension, for words."""
+    return ", ".join(law.parameters[0].name for law in acting_reel_laws(system))
 
 
 def reels_that_yield(system: System) -> np.ndarray:
@@ -21,16 +33,17 @@ def reels_that_yield(system: System) -> np.ndarray:
 
     Their rest lengths are states of the system.
     """
-    if not system.law_parameters[REEL_DAMPING.name]:
+    if not acting_reel_laws(system):
         return np.empty(0, dtype=np.int64)
     return np.array([reel.segments[0] for reel in reels(system)], dtype=np.int64)
 
 
 def with_fixed_reels(system: System) -> System:
     """The same system with reels that do not yield."""
-    if not system.law_parameters[REEL_DAMPING.name]:
+    acting = {law.parameters[0].name: 0.0 for law in acting_reel_laws(system)}
+    if not acting:
         return system
-    return replace(system, law_parameters=system.law_parameters | {REEL_DAMPING.name: 0.0})
+    return replace(system, law_parameters=system.law_parameters | acting)
 
 
 def reel_tension_n(system: System, spin_rate_ratio: float) -> np.ndarray:
@@ -68,14 +81,14 @@ def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> 
     moving = reels_that_yield(system)
     if not moving.size:
         return arrays
-    require_autonomous(system, f"a reel that follows tension ({REEL_DAMPING.name})")
+    require_autonomous(system, f"a reel that follows tension ({what_yields(system)})")
     if not system.turning_rad_s(spin_rate_rad_s):
         raise TssError(
-            f"reels follow tension ({REEL_DAMPING.name}) where a formation spins about the orbit"
+            f"reels follow tension ({what_yields(system)}) where a formation spins about the orbit"
             f" normal, but spin_rate_ratio is {spin_rate_rad_s / system.orbit_rate_rad_s:g} and"
             f" spin_axis {np.array2string(system.spin_axis, precision=6, separator=', ')}"
         )
-    values, rows = system.law_parameters, moving.size
+    mass, rows = system.law_parameters[REEL_MASS.name], moving.size
     row = np.full(system.m, -1)
     row[moving] = system.n + np.arange(rows)
     reel = np.zeros((system.m, 4))
@@ -86,12 +99,12 @@ def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> 
     if arrays.shape.size:
         padded["shape"] = np.append(arrays.shape, np.zeros((rows, 3)), axis=0)
     return arrays._replace(
-        inv_mass=np.append(arrays.inv_mass, np.full(rows, 1.0 / values[REEL_MASS.name])),
+        inv_mass=np.append(arrays.inv_mass, np.full(rows, 1.0 / mass)),
         reel=reel,
         reel_row=row,
         reel_segment=moving,
         reel_aim=reel_tension_n(system, spin_rate_rad_s / system.orbit_rate_rad_s),
-        reel_law=(values[REEL_DAMPING.name], values[REEL_STIFFNESS.name]),
+        reeling=sum(1 << REEL_LAWS.index(law) for law in acting_reel_laws(system)),
         **padded,
     )
 

@@ -1,18 +1,40 @@
 """Kernels of reels that follow the tension of their tethers, `laws.reel`."""
 
+from tss_ros.core.model.laws import REEL_LAWS
+from tss_ros.core.model.made import CONSTANT_SOURCES, sum_of_laws
+from tss_ros.core.model.stated import OF_REELS, reel_force_of
+from tss_ros.core.numerics.expressions import derivative
 from tss_ros.core.numerics.simd import kernel
+
+_FORCES = tuple(map(reel_force_of, REEL_LAWS))
+_SEEN = "arrays, paid_out, rate", dict(zip(OF_REELS, ("paid_out", "rate"))) | CONSTANT_SOURCES
+#: Force of all acting laws [N], and how it grows with what is paid out [N/m] and its rate [N s/m].
+_force = sum_of_laws("reel_force", REEL_LAWS, [(f,) for f in _FORCES], _SEEN, "arrays.reeling")
+_slopes = sum_of_laws(
+    "reel_slopes", REEL_LAWS, [[derivative(f, by) for by in OF_REELS] for f in _FORCES], _SEEN,
+    "arrays.reeling",
+)  # fmt: skip
 
 
 @kernel
 def let_reels_go(arrays, v, r, a):
     """Second rates of change [m/s^2] of rest lengths by all but tension, into their rows."""
-    against, back = arrays.reel_law
     for q in range(arrays.reel_segment.size):
         row, built = arrays.beads + q, arrays.rest[arrays.reel_segment[q]]
-        pull = arrays.reel_aim[q] + back * (r[row, 0] - built) + against * v[row, 0]
+        pull = arrays.reel_aim[q] + _force(arrays, r[row, 0] - built, v[row, 0])
         a[row, 0] = -arrays.inv_mass[row] * pull
         a[row, 1] = 0.0 * pull
         a[row, 2] = 0.0 * pull
+
+
+@kernel
+def linearise_forces(arrays, v, r, by_r, by_v):
+    """Add the derivatives of what `let_reels_go` does."""
+    for q in range(arrays.reel_segment.size):
+        row, built = arrays.beads + q, arrays.rest[arrays.reel_segment[q]]
+        by_length, by_rate = _slopes(arrays, r[row, 0] - built, v[row, 0])
+        by_r[row, 0, 0] -= arrays.inv_mass[row] * by_length
+        by_v[row, 0, 0] -= arrays.inv_mass[row] * by_rate
 
 
 @kernel

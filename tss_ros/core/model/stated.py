@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from tss_ros.core.model.contract import BeadLaw, Guided, Moving, Stretched, TetherLaw, ThrustLaw
+from tss_ros.core.model.contract import (
+    BeadLaw,
+    Guided,
+    Law,
+    Moving,
+    Reeled,
+    ReelLaw,
+    Stretched,
+    TetherLaw,
+    ThrustLaw,
+)
 from tss_ros.core.numerics.expressions import Expression, Symbol, add, cross, derivative, symbol
 
 
@@ -26,14 +36,16 @@ RADIUS, MEAN_MOTION, TURNING, RATE = _symbols("radius mean_motion turning orbit_
 #: the turn is that feedback aims at.
 PLACE, SPEED, SHAPE = _symbols("dx dy dz"), _symbols("wx wy wz"), _symbols("sx sy sz")
 MASS, SPIN, TURN = _symbols("mass spin turn", varies=False)
-#: All that laws of tethers, of beads on any orbit and of satellites may use, beside their
-#: own parameters.
+REELED = Reeled(*_symbols("paid_out reel_rate"))
+#: All that laws of reels, tethers, beads on any orbit and satellites may use, beside their own
+#: parameters.
+OF_REELS = tuple(vars(REELED).values())
 OF_TETHERS = tuple(vars(STRETCHED).values())
 OF_BEADS = (*R, *V, *SKY, TURNING)
 OF_SATELLITES = (*PLACE, *SPEED, *SHAPE, MASS, SPIN, TURN)
 
 
-def of_parameters(law: BeadLaw | TetherLaw | ThrustLaw) -> dict[str, Symbol]:
+def of_parameters(law: Law) -> dict[str, Symbol]:
     """The symbols of a law's own parameters, by name."""
     return {p.name: symbol(p.name, varies=False) for p in law.parameters}
 
@@ -91,3 +103,8 @@ def thrust_of(law: ThrustLaw) -> tuple[Expression, ...]:
     rigid = tuple(SPIN * c + TURN * c for c in across)
     guided = Guided(PLACE, velocity, rigid, SHAPE, MASS)
     return tuple(map(add, law.thrust(guided, **of_parameters(law))))
+
+
+def reel_force_of(law: ReelLaw) -> Expression:
+    """Force of a law, of `REELED`."""
+    return add(law.force(REELED, **of_parameters(law)))

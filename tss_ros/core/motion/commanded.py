@@ -16,9 +16,8 @@ from tss_ros.core.model.commands import Commands
 from tss_ros.core.model.feedback import with_feedback
 from tss_ros.core.model.kernel_arrays import kernel_arrays
 from tss_ros.core.model.laws.feedback import SHAPE_KEEPING
-from tss_ros.core.model.laws.reel import REEL_DAMPING
 from tss_ros.core.model.orbits import reference_orbit
-from tss_ros.core.model.reel_law import rests_in_rows
+from tss_ros.core.model.reel_law import rests_in_rows, what_yields
 from tss_ros.core.model.reels import deployment, pay_out, reels
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate
@@ -237,9 +236,12 @@ class CommandedMotion:
         if explicit and (pushes or commands.unreels):
             what = "forces of thrusters" if pushes else "reels that move"
             raise TssError(f"integrator 'taylor' bears no {what}: choose auto or radau")
-        for law, words in ((SHAPE_KEEPING, "keeps one shape"), (REEL_DAMPING, "moves the reels")):
-            if self._system.law_parameters[law.name] and not commands.all_out(self._system):
-                raise TssError(f"{law.name} {words}, but a command is to change a rest length")
+        if commands.all_out(self._system):
+            return
+        if self._system.law_parameters[SHAPE_KEEPING.name]:
+            raise TssError(f"{SHAPE_KEEPING.name} keeps one shape, but a rest length is to change")
+        if words := what_yields(self._system):
+            raise TssError(f"{words} moves the reels, but a command is to change a rest length")
 
     def _with(self, leg):
         """The integrator of a leg."""

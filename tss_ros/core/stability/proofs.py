@@ -103,8 +103,8 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
     """
     integrator = turn.integrator
     period = integrator.period_s
-    reels = integrator.arrays.inv_mass[integrator.system.n :] * integrator.arrays.reel_law[0]
-    rates = np.append(_tether_rates(integrator), reels)
+    reels = bead_trace(integrator, integrator.begin(turn.start))
+    rates = np.append(_tether_rates(integrator), abs(reels))
     # The fastest mode may decay a little more than once in a step; that is what limits the length.
     width = min(period / SPREAD, DECAY / max(np.sum(rates), 1e-300))
     half = 3 * integrator.rows

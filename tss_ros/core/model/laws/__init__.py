@@ -3,7 +3,7 @@
 Laws of users come with installed packages or from a file: see `model.own_laws`.
 """
 
-from tss_ros.core.model.contract import BeadLaw, LawParameter, TetherLaw, ThrustLaw
+from tss_ros.core.model.contract import BeadLaw, LawParameter, ReelLaw, TetherLaw, ThrustLaw
 from tss_ros.core.model.laws import (
     drag,
     feedback,
@@ -26,16 +26,20 @@ BEAD_LAWS: tuple[BeadLaw, ...] = (
 )  # fmt: skip
 #: What thrusters of satellites do: likewise.
 THRUST_LAWS: tuple[ThrustLaw, ...] = (feedback.ROTATION_DAMPING_LAW, feedback.SHAPE_KEEPING_LAW)
-#: Parameters of no such law: the limit of thrusters, reels, and the elements of the orbit.
-_OTHERS = (feedback.THRUST_LIMIT, *reel.PARAMETERS, *orbit.ELEMENTS)
+#: How reels hold their tethers: likewise.
+REEL_LAWS: tuple[ReelLaw, ...] = (reel.YIELDING_LAW,)
+#: Parameters that no law has for itself: of thrusters, of reels, and the elements of the orbit.
+_OTHERS = (feedback.THRUST_LIMIT, reel.REEL_TENSION, reel.REEL_MASS, *orbit.ELEMENTS)
 
-_OWN = own_laws((*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS), _OTHERS)
+_OWN = own_laws((*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS, *REEL_LAWS), _OTHERS)
 TETHER_LAWS += tuple(law for law in _OWN if isinstance(law, TetherLaw))
 BEAD_LAWS += tuple(law for law in _OWN if isinstance(law, BeadLaw))
 THRUST_LAWS += tuple(law for law in _OWN if isinstance(law, ThrustLaw))
+REEL_LAWS += tuple(law for law in _OWN if isinstance(law, ReelLaw))
+_ALL = (*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS, *REEL_LAWS)
 #: All parameters of laws, each once, and the others.
 LAW_PARAMETERS: tuple[LawParameter, ...] = (
-    *dict.fromkeys(p for law in (*TETHER_LAWS, *BEAD_LAWS, *THRUST_LAWS) for p in law.parameters),
+    *dict.fromkeys(p for law in _ALL for p in law.parameters),
     *_OTHERS,
 )
 #: Laws that may be chosen by their names alone: perturbations of the orbit.

@@ -2,16 +2,17 @@
 
 A reel pays out the segment next to it, of rest length L at tension T, as
 
-    m L'' + c L' = T - T_0 - k (L - L_0),
+    m L'' = T - T_0 - F,    F = c L' + k (L - L_0),
 
 L_0 being the rest length of the segment. m is the inertia of the drum over the square of its
 radius, c what its brake or motor does against the rate, and k draws the rest length back. L and L'
-are states of the system: each reel adds two multipliers.
+are states of the system: each reel adds two multipliers. Laws of users add other forces F.
 
 Fast changes of tension meet c and m; what is slower than c / k is left to the tether.
 """
 
-from tss_ros.core.model.contract import LawParameter
+from tss_ros.core.model.contract import LawParameter, Reeled, ReelLaw
+from tss_ros.core.numerics.expressions import Expression
 
 REEL_DAMPING = LawParameter(
     "reel_damping_n_s_per_m", "Tension of every reel over the rate at which it pays out", "N s/m",
@@ -30,5 +31,16 @@ REEL_MASS = LawParameter(
     "reel_mass_kg", "Inertia of every reel's drum over the square of its radius", "kg",
     minimum=1e-3, maximum=1e6, default=1.0,
 )  # fmt: skip
-#: Of all reels; they give way where the first one is not zero.
-PARAMETERS = (REEL_DAMPING, REEL_STIFFNESS, REEL_TENSION, REEL_MASS)
+
+
+def giving(
+    r: Reeled, reel_damping_n_s_per_m: Expression, reel_stiffness_n_per_m: Expression
+) -> Expression:
+    """c L' + k (L - L_0)."""
+    return reel_damping_n_s_per_m * r.rate + reel_stiffness_n_per_m * r.paid_out
+
+
+YIELDING_LAW = ReelLaw(
+    "yielding", "gives way to tension as a spring and a damper", giving,
+    (REEL_DAMPING, REEL_STIFFNESS),
+)  # fmt: skip
