@@ -11,7 +11,7 @@ import numpy as np
 from tss_ros.core.errors import TssError, index_of
 from tss_ros.core.model.cubics import cubic_at, cubic_crossings, cubic_from
 from tss_ros.core.model.frames import Z_AXIS, turn_about
-from tss_ros.core.model.kernel_arrays import KernelArrays
+from tss_ros.core.model.kernel_arrays import ROW, KernelArrays
 from tss_ros.core.model.reels import (
     NEVER_M,
     SHORTEST_M,
@@ -273,19 +273,20 @@ class Commands(NamedTuple):
             thrust[1] = thrust[1] @ turn_about(Z_AXIS, -arrays.rate * since_s).T
             thrust[2] = thrust[2] @ turn_about(axis, spin_rate_rad_s * since_s).T
         reel = self._cubics(part, time_s)
-        yields = arrays.reel_segment.size > 0
-        moves = yields or bool(reel[:, 1:].any())
+        yields = arrays.inv_mass.size > arrays.beads
+        if yields:
+            reel[:, ROW:] = arrays.reel[:, ROW:]
+        moves = yields or bool(reel[:, 1:ROW].any())
         share = np.ones(system.m) if moves else system.rest_length_m / reel[:, 0]
         rest = system.rest_length_m if moves else reel[:, 0]
         stiffness = share * (system.axial_stiffness_n / system.rest_length_m)
-        reel[cut] = NEVER_M, 0.0, 0.0, 0.0
+        reel[cut, :ROW] = NEVER_M, 0.0, 0.0, 0.0
         return arrays._replace(
             # Where reels yield their rest lengths as built are part of their law.
             rest=np.where(cut & (not yields), NEVER_M, rest),
-            reel_row=np.where(cut, -1, arrays.reel_row) if yields else arrays.reel_row,
             stiffness=np.where(cut, 0.0, stiffness),
             damping=np.where(cut, 0.0, share * system.damping_n_s_per_m),
-            reel=reel if moves else np.empty((0, 4)),
+            reel=reel if moves else np.empty((0, 6)),
             reel_since=float(time_s),
             thrust=thrust,
             thrust_axis=tuple(map(float, axis)),
@@ -293,9 +294,9 @@ class Commands(NamedTuple):
         )
 
     def _cubics(self, part, time_s):
-        """Rest lengths of the segments out as cubics of the time since one [s], (m', 4)."""
-        cubics = np.zeros((part.system.m, 4))
-        cubics[:, 0] = part.system.rest_length_m
+        """`KernelArrays.reel` of the segments out, cubics of the time since one [s], (m', 6)."""
+        cubics = np.zeros((part.system.m, 6))
+        cubics[:, 0], cubics[:, ROW] = part.system.rest_length_m, -1.0
         place = {k: i for i, k in enumerate(part.segments.tolist())}
         for line, whole, (since, *cubic) in zip(
             reels(part.whole), whole_lengths(part.whole), self.reel
@@ -303,7 +304,7 @@ class Commands(NamedTuple):
             if cubic == [whole, 0.0, 0.0, 0.0]:
                 continue
             paying, *others = [k for k in line.segments if k in place]
-            cubics[place[paying]] = cubic_from(cubic, time_s - since)
+            cubics[place[paying], :ROW] = cubic_from(cubic, time_s - since)
             cubics[place[paying], 0] -= part.whole.rest_length_m[others].sum()
         return cubics
 

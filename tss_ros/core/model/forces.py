@@ -19,7 +19,7 @@ import numpy as np
 from tss_ros.core.arguments import checked
 from tss_ros.core.model.commands import add_commanded_thrust
 from tss_ros.core.model.feedback_thrust import add_thrust, add_thrust_gradient
-from tss_ros.core.model.kernel_arrays import KernelArrays, kernel_arrays
+from tss_ros.core.model.kernel_arrays import ROW, KernelArrays, kernel_arrays
 from tss_ros.core.model.laws.inertia import inertia
 from tss_ros.core.model.made import (
     acceleration_of_bead_in_sky,
@@ -53,9 +53,9 @@ def rest_at(arrays, k, time, v, r):
     """L [m] of a tether and L' [m/s] at a time [s]."""
     if arrays.reel.size == 0:
         return arrays.rest[k], 0.0
-    if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
-        return r[arrays.reel_row[k], 0], v[arrays.reel_row[k], 0]
     past, reel = time - arrays.reel_since, arrays.reel[k]
+    if reel[ROW] >= 0.0 and reel[0] < NEVER_M:
+        return r[int(reel[ROW]), 0], v[int(reel[ROW]), 0]
     length = ((reel[3] * past + reel[2]) * past + reel[1]) * past + reel[0]
     return length, (3.0 * reel[3] * past + 2.0 * reel[2]) * past + reel[1]
 
@@ -146,7 +146,8 @@ def acceleration(arrays, taut, time, v, r, a):
         add_thrust(arrays, v, r, a)
     if arrays.thrust.size > 0:
         add_commanded_thrust(arrays, time, a)
-    if arrays.reel_row.size > 0:
+    changing = arrays.reel.size > 0
+    if changing:
         let_reels_go(arrays, v, r, a)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
@@ -161,8 +162,8 @@ def acceleration(arrays, taut, time, v, r, a):
             a[j, 0] += pj * ex
             a[j, 1] += pj * ey
             a[j, 2] += pj * ez
-            if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
-                row = arrays.reel_row[k]
+            if changing and arrays.reel[k, ROW] >= 0.0:
+                row = int(arrays.reel[k, ROW])
                 a[row, 0] += arrays.inv_mass[row] * pull * length
 
 
@@ -200,10 +201,11 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             by_r[i, 1, 2] -= dx
             by_r[i, 2, 0] -= dy
             by_r[i, 2, 1] += dx
-    if arrays.reel_segment.size > 0:
+    changing = arrays.reel.size > 0
+    if changing:
         linearise_forces(arrays, v, r, by_r, by_v)
     if arrays.satellite.size > 0:
-        others = pair[arrays.ends.shape[0] + 2 * arrays.reel_segment.size :]
+        others = pair[arrays.ends.shape[0] + 2 * (arrays.inv_mass.size - arrays.beads) :]
         add_thrust_gradient(arrays, others, v, r, by_r, by_v)
     for k in range(arrays.ends.shape[0]):
         if taut[k]:
@@ -217,7 +219,7 @@ def jacobian(arrays, pair, taut, time, v, r, by_r, by_v):
             across, slope = tension_and_slope(
                 arrays, length, growth - unreeling, rest, stiffness, damping
             )
-            if arrays.reel_row.size > 0:
+            if changing and arrays.reel[k, ROW] >= 0.0:
                 by_rest = tension_by_rest(
                     arrays, length, growth - unreeling, rest, stiffness, damping
                 )

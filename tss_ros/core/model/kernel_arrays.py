@@ -8,6 +8,9 @@ from tss_ros.core.model.laws import LAW_PARAMETERS
 from tss_ros.core.model.made import TENSION_INDEX
 from tss_ros.core.model.system import MU_EARTH, System
 
+#: Columns of `KernelArrays.reel` behind the cubics.
+ROW, AIM = 4, 5
+
 
 class KernelArrays(NamedTuple):
     """A `System` in the frame that turns at one spin rate.
@@ -39,18 +42,13 @@ class KernelArrays(NamedTuple):
         Unit vector in the orbit frame about which the axes of `thrust` that spin turn.
     thrust_spin : float
         omega [rad/s] of these axes against the orbit frame.
-    reel : ndarray, shape (m, 4)
+    reel : ndarray, shape (m, 6)
         Rest length of each segment as a cubic of the time since `reel_since`: [m], [m/s] and so
-        on; EA stays, so that stiffness and damping change like 1/L. Empty where none changes.
+        on; EA stays, so that stiffness and damping change like 1/L. Then, in column `ROW`, the row
+        of a rest length that is a state, whose cubic counts only if it says `NEVER_M`; -1 for
+        others. Then T_0 [N] of such a reel, in column `AIM`. Empty where no rest length changes.
     reel_since : float
         [s]
-    reel_row : ndarray, shape (m,), int
-        Row of a segment's rest length, -1 where that is no state and of tethers that are cut; empty
-        where no reel follows tension.
-    reel_segment : ndarray, shape (p,), int
-        Segments whose rest lengths are states, in the order of the rows.
-    reel_aim : ndarray, shape (p,)
-        T_0 [N] of their reels, `laws.reel`.
     reeling : int
         Which of `laws.REEL_LAWS` act, one bit each.
     bilateral, pushes : bool
@@ -101,9 +99,6 @@ class KernelArrays(NamedTuple):
     thrust_spin: float
     reel: np.ndarray
     reel_since: float
-    reel_row: np.ndarray
-    reel_segment: np.ndarray
-    reel_aim: np.ndarray
     reeling: int
     bilateral: bool
     pushes: bool
@@ -154,11 +149,8 @@ def kernel_arrays(system: System, spin_rate_rad_s: float) -> KernelArrays:
         thrust=np.empty((0, 0, 0)),
         thrust_axis=(0.0, 0.0, 1.0),
         thrust_spin=0.0,
-        reel=np.empty((0, 4)),
+        reel=np.empty((0, 6)),
         reel_since=0.0,
-        reel_row=np.empty(0, dtype=np.int64),
-        reel_segment=np.empty(0, dtype=np.int64),
-        reel_aim=np.empty(0),
         reeling=0,
         bilateral=bool(system.bilateral),
         pushes=bool(system.law.pushes),

@@ -10,7 +10,7 @@ from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import averaged_state
 from tss_ros.core.model.contract import ReelLaw
 from tss_ros.core.model.forces import tether_state
-from tss_ros.core.model.kernel_arrays import KernelArrays
+from tss_ros.core.model.kernel_arrays import AIM, ROW, KernelArrays
 from tss_ros.core.model.laws import REEL_LAWS
 from tss_ros.core.model.laws.reel import REEL_MASS, REEL_TENSION
 from tss_ros.core.model.orbits import require_autonomous
@@ -89,10 +89,10 @@ def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> 
             f" spin_axis {np.array2string(system.spin_axis, precision=6, separator=', ')}"
         )
     mass, rows = system.law_parameters[REEL_MASS.name], moving.size
-    row = np.full(system.m, -1)
-    row[moving] = system.n + np.arange(rows)
-    reel = np.zeros((system.m, 4))
-    reel[:, 0] = system.rest_length_m
+    reel = np.zeros((system.m, 6))
+    reel[:, 0], reel[:, ROW] = system.rest_length_m, -1.0
+    reel[moving, ROW] = system.n + np.arange(rows)
+    reel[moving, AIM] = reel_tension_n(system, spin_rate_rad_s / system.orbit_rate_rad_s)
     padded = {}
     if arrays.satellite.size:
         padded["satellite"] = np.append(arrays.satellite, np.zeros(rows))
@@ -101,9 +101,6 @@ def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> 
     return arrays._replace(
         inv_mass=np.append(arrays.inv_mass, np.full(rows, 1.0 / mass)),
         reel=reel,
-        reel_row=row,
-        reel_segment=moving,
-        reel_aim=reel_tension_n(system, spin_rate_rad_s / system.orbit_rate_rad_s),
         reeling=sum(1 << REEL_LAWS.index(law) for law in acting_reel_laws(system)),
         **padded,
     )

@@ -1,5 +1,6 @@
 """Kernels of reels that follow the tension of their tethers, `laws.reel`."""
 
+from tss_ros.core.model.kernel_arrays import AIM, ROW
 from tss_ros.core.model.laws import REEL_LAWS
 from tss_ros.core.model.made import CONSTANT_SOURCES, sum_of_laws
 from tss_ros.core.model.stated import OF_REELS, reel_force_of
@@ -19,22 +20,24 @@ _slopes = sum_of_laws(
 @kernel
 def let_reels_go(arrays, v, r, a):
     """Second rates of change [m/s^2] of rest lengths by all but tension, into their rows."""
-    for q in range(arrays.reel_segment.size):
-        row, built = arrays.beads + q, arrays.rest[arrays.reel_segment[q]]
-        pull = arrays.reel_aim[q] + _force(arrays, r[row, 0] - built, v[row, 0])
-        a[row, 0] = -arrays.inv_mass[row] * pull
-        a[row, 1] = 0.0 * pull
-        a[row, 2] = 0.0 * pull
+    for k in range(arrays.reel.shape[0]):
+        row = int(arrays.reel[k, ROW])
+        if row >= 0:
+            pull = arrays.reel[k, AIM] + _force(arrays, r[row, 0] - arrays.rest[k], v[row, 0])
+            a[row, 0] = -arrays.inv_mass[row] * pull
+            a[row, 1] = 0.0 * pull
+            a[row, 2] = 0.0 * pull
 
 
 @kernel
 def linearise_forces(arrays, v, r, by_r, by_v):
     """Add the derivatives of what `let_reels_go` does."""
-    for q in range(arrays.reel_segment.size):
-        row, built = arrays.beads + q, arrays.rest[arrays.reel_segment[q]]
-        by_length, by_rate = _slopes(arrays, r[row, 0] - built, v[row, 0])
-        by_r[row, 0, 0] -= arrays.inv_mass[row] * by_length
-        by_v[row, 0, 0] -= arrays.inv_mass[row] * by_rate
+    for k in range(arrays.reel.shape[0]):
+        row = int(arrays.reel[k, ROW])
+        if row >= 0:
+            by_length, by_rate = _slopes(arrays, r[row, 0] - arrays.rest[k], v[row, 0])
+            by_r[row, 0, 0] -= arrays.inv_mass[row] * by_length
+            by_v[row, 0, 0] -= arrays.inv_mass[row] * by_rate
 
 
 @kernel
@@ -43,9 +46,7 @@ def linearise_reel(arrays, pair, k, state, slopes, by_r, by_v):
 
     `state` is e and w as tuples, l and l'; `slopes` those of the tension by l, by L and by l'.
     """
-    row, tethers = arrays.reel_row[k], arrays.ends.shape[0]
-    if row < 0:
-        return
+    row, tethers = int(arrays.reel[k, ROW]), arrays.ends.shape[0]
     i, j = arrays.ends[k, 0], arrays.ends[k, 1]
     first = tethers + 2 * (row - arrays.beads)
     (e, w, length, growth), (by_length, by_rest, by_rate) = state, slopes

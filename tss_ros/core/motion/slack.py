@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from tss_ros.core.model.forces import stretch, tensions
+from tss_ros.core.model.kernel_arrays import ROW
 from tss_ros.core.model.made import PULL, SQUARE, TETHER_SLOTS
 from tss_ros.core.numerics.bernstein import first_zero
 from tss_ros.core.numerics.loops import add, assign
@@ -332,8 +333,8 @@ def _saltation(arrays, motion, k, sign):
     for p in range(3):
         length2 += (motion.r[i, p] - motion.r[j, p]) ** 2
     row, damping = -1, arrays.damping[k]
-    if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
-        row = arrays.reel_row[k]
+    if arrays.reel.size > 0 and arrays.reel[k, ROW] >= 0.0:
+        row = int(arrays.reel[k, ROW])
         damping *= arrays.rest[k] / motion.r[row, 0]
     length = math.sqrt(length2)
     for c in range(motion.x_v.shape[2]):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tss_ros.core.model.kernel_arrays import ROW
 from tss_ros.core.numerics.simd import kernel
 
 #: Kinds of steps, and what `StepSettings.kind` may allow: one kind only, or both.
@@ -217,6 +218,6 @@ def taut_rates(arrays, taut, sums):
             swing = max(swing, sums[i, 0] + sums[j, 0])
             decay = max(decay, sums[i, 1] + sums[j, 1])
             dissipation += arrays.damping[k] * (arrays.inv_mass[i] + arrays.inv_mass[j])
-            if arrays.reel_row.size > 0 and arrays.reel_row[k] >= 0:
-                dissipation += arrays.damping[k] * arrays.inv_mass[arrays.reel_row[k]]
+            if arrays.reel.size > 0 and arrays.reel[k, ROW] >= 0.0:
+                dissipation += arrays.damping[k] * arrays.inv_mass[int(arrays.reel[k, ROW])]
     return max(decay, math.sqrt(swing)), dissipation

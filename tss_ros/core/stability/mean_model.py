@@ -16,6 +16,7 @@ import numpy as np
 from tss_ros.core.model import forces
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.frames import crossed, to_turning_frame, turn_about
+from tss_ros.core.model.kernel_arrays import ROW
 from tss_ros.core.model.symmetry import cyclic_symmetry
 from tss_ros.core.model.system import State
 from tss_ros.core.motion.integrator import Integrator
@@ -160,8 +161,8 @@ def _in_balance(arrays, turning, times, place, tension):
     pull, every = np.zeros((*place.shape, length.size)), np.arange(length.size)
     pull[first, :, every] = -e / length[:, None] * arrays.inv_mass[first][:, None]
     pull[second, :, every] = e / length[:, None] * arrays.inv_mass[second][:, None]
-    yielding = np.flatnonzero(arrays.reel_row >= 0)
-    row = arrays.reel_row[yielding]
+    yielding = np.flatnonzero(arrays.reel[:, ROW] >= 0.0)
+    row = arrays.reel[yielding, ROW].astype(int)
     pull[row, 0, yielding] = arrays.inv_mass[row]
     pull = pull.reshape(-1, length.size)
     outside, slack = np.zeros_like(place), np.zeros(length.size, bool)

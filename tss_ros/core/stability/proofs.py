@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from tss_ros.core.errors import Cancelled, IntegrationError
 from tss_ros.core.model.feedback import follows_laws
 from tss_ros.core.model.forces import jacobian
+from tss_ros.core.model.kernel_arrays import ROW
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.motion.state import IntegratorState
@@ -131,8 +132,9 @@ def _tether_rates(integrator):
     """C (1/m_i + 1/m_j) of every tether, with 1/m of the reel it has, shape (m,)."""
     arrays = integrator.arrays
     weight = arrays.inv_mass[arrays.ends].sum(axis=1)
-    if arrays.reel_row.size:
-        weight += np.where(arrays.reel_row >= 0, arrays.inv_mass[arrays.reel_row], 0.0)
+    if arrays.reel.size:
+        row = arrays.reel[:, ROW].astype(int)
+        weight += np.where(row >= 0, arrays.inv_mass[row], 0.0)
     return arrays.damping * weight
 
 
