@@ -26,6 +26,11 @@ def painted(text: str, colour: str, stream: TextIO | None = None) -> str:
     return text if plain else f"\033[{_CODES[colour]}m{text}\033[0m"
 
 
+def say(name: str, text: object) -> None:
+    """Write a line to the standard error that begins with what an executable is called."""
+    print(f"{SHOWN_AS.get(name, name)}: {text}", file=sys.stderr)
+
+
 def why_not_written(path: Path, endings: Sequence[str] = (), overwrite: bool = False) -> str:
     """Why an output cannot be written, or must not.
 

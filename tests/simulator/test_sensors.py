@@ -229,9 +229,10 @@ def test_nothing_is_published_unless_it_is_asked_for(simulator, client):
     assert not refused.successful and "position_noise_m is -1.0; allowed: a number" in (
         refused.reason
     )
-    assert running.set(sensor_period_s=0.0).successful
+    assert running.set(sensor_period_s=0.0, range_noise_m=0.5).successful
     running.do(ResetSimulation)
     spin_until(lambda: topics() == [], 10, "no topics of sensors")
+    running.process.wait_for_line("range_noise_m is 0.5, but sensor_period_s is 0: there are no")
     assert running.process.stop() == 0, running.process.stderr
 
 

@@ -15,7 +15,7 @@ import yaml
 from tss_ros import plots
 from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
-from tss_ros.command_line import Parser, show_progress, why_not_written
+from tss_ros.command_line import Parser, say, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
 from tss_ros.core.model.feedback import acting_thrusts
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
@@ -173,10 +173,10 @@ def _run(name, description, argv, act, add_options=lambda parser: None):
         with np.errstate(all="ignore"):  # numbers that are not finite are named
             act(recording, options)
     except TssError as error:
-        print(f"{name}: {one_line(error)}", file=sys.stderr)
+        say(name, one_line(error))
         return 1
     except OSError as error:
-        print(f"{name}: {error.filename!r} cannot be written: {error.strerror}", file=sys.stderr)
+        say(name, f"{error.filename!r} cannot be written: {error.strerror}")
         return 1
     return told_of_damage(name, options.bag, recording)
 

@@ -26,7 +26,7 @@ from tss_ros.bags.mcap_file import Gap, McapFile
 from tss_ros.bags.metadata import NOTES, BagFile, write_metadata
 from tss_ros.bags.records import GAP, BagError, Batch, one_line, pack_gap
 from tss_ros.bags.writer import FIRST_NOTES, begin, finish
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, say
 from tss_ros.core import TssError
 
 DAMAGED_SUFFIX = ".damaged"
@@ -293,7 +293,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines = recover(bag) or [f"{bag}: complete, nothing to recover"]
             print("\n".join(map(one_line, lines)), flush=True)
         except TssError as error:
-            print(f"recover: {one_line(error)}", file=sys.stderr)
+            say("recover", one_line(error))
             status = 1
     return status
 

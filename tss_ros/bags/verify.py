@@ -1,6 +1,5 @@
 """Whether a bag is what it says, in every part of it; executable `verify`."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,7 @@ from tss_ros.bags.checks import check_file, check_index, metadata_faults
 from tss_ros.bags.directory import METADATA, find_files
 from tss_ros.bags.mcap_file import McapFile
 from tss_ros.bags.records import BagError, Damage, one_line
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, say
 from tss_ros.core import TssError
 
 #: Most lines of faults that the executable shows.
@@ -158,7 +157,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             found = verify(bag)
         except TssError as error:
-            print(f"verify: {one_line(error)}", file=sys.stderr)
+            say("verify", one_line(error))
             status = 1
             continue
         print("\n".join(map(one_line, found.lines)), flush=True)

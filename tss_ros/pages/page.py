@@ -1,6 +1,5 @@
 """Executable `page`: one self-contained page of charts that sums up a bag or a sweep."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from tss_ros.bags.commands import told_of_damage
 from tss_ros.bags.recording import read_bag
 from tss_ros.bags.records import one_line
-from tss_ros.command_line import Parser, show_progress, why_not_written
+from tss_ros.command_line import Parser, say, show_progress, why_not_written
 from tss_ros.core import TssError
 from tss_ros.pages import bag, html, sweep
 from tss_ros.sweeps.store import MANIFEST
@@ -56,10 +55,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 text = html.document(f"Recording {name}", bag.parts(recording))
         output.write_text(text, encoding="utf-8")
     except TssError as error:
-        print(f"page: {one_line(error)}", file=sys.stderr)
+        say("page", one_line(error))
         return 1
     except OSError as error:
-        print(f"page: {str(output)!r} cannot be written: {error.strerror}", file=sys.stderr)
+        say("page", f"{str(output)!r} cannot be written: {error.strerror}")
         return 1
     finally:
         show_progress("")

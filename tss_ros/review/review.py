@@ -3,7 +3,6 @@
 import contextlib
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 import webbrowser
@@ -18,7 +17,7 @@ from PIL import Image
 from tss_ros.bags.commands import told_of_damage
 from tss_ros.bags.recording import Recording, read_bag
 from tss_ros.bags.records import one_line
-from tss_ros.command_line import Parser, show_progress
+from tss_ros.command_line import Parser, say, show_progress
 from tss_ros.core import TssError
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.plots.motions import tension_limit
@@ -307,7 +306,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         open_ = _show_in_browser if arguments.web else _show_in_viewer
         open_(recordings, names, arguments.earth)
     except TssError as error:
-        print(f"review: {one_line(error)}", file=sys.stderr)
+        say("review", one_line(error))
         return 1
     except KeyboardInterrupt:
         return 130

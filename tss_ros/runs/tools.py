@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, say
 
 #: Where the sources are; only a checkout has the benchmarks beside them.
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def bench(argv: Sequence[str] | None = None) -> int:
         Exit status: 0, or 1 where there are no benchmarks.
     """
     if not (CHECKOUT / "benchmarks" / "__main__.py").is_file():
-        print("bench: the benchmarks are in a checkout of the source only", file=sys.stderr)
+        say("bench", "the benchmarks are in a checkout of the source only")
         return 1
     sys.argv[1:] = sys.argv[1:] if argv is None else argv
     sys.path.insert(0, str(CHECKOUT))

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tss_ros import plots
-from tss_ros.command_line import Parser
+from tss_ros.command_line import Parser, say
 from tss_ros.core import Cancelled, TssError, sweep
 from tss_ros.scenarios.parameters import (
     DISTURBANCE,
@@ -248,10 +248,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(f"{folder}: {count} bags")
             return status
     except Cancelled:
-        print("ensemble: interrupted; the same command goes on from here", file=sys.stderr)
+        say("ensemble", "interrupted; the same command goes on from here")
         return 130
     except (TssError, OSError) as error:
-        print(f"ensemble: {error}", file=sys.stderr)
+        say("ensemble", error)
         return 1
 
 

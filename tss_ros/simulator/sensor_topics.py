@@ -56,7 +56,13 @@ class SensorPublishers:
         self._setup, self._measured = setup, None
         self._sensors = Sensors(setup.system, setup.options)
         wanted = {}
-        if setup.options["sensor_period_s"]:
+        if not setup.options["sensor_period_s"]:
+            for name, value in setup.options.items():
+                if value and ("_noise_" in name or "_bias_" in name):
+                    self._node.get_logger().warning(
+                        f"{name} is {value:g}, but sensor_period_s is 0: there are no sensors"
+                    )
+        else:
             wanted = {i: self._name_of(i) for i in self._sensors.satellites}
             wanted[None] = TETHERS
         for i in [i for i, p in self._publishers.items() if wanted.get(i) != p[0]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tss_ros.bags.wrenches import read_commands, unlike
 from tss_ros.bags.writer import BagWriter
-from tss_ros.command_line import Parser, ProgressLine
+from tss_ros.command_line import Parser, ProgressLine, say
 from tss_ros.core import Cancelled, Commands, IntegrationError, Propagator, TssError
 from tss_ros.core.model.failures import (
     Change,
@@ -287,15 +287,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             commands = read_commands(options.commands, setup.system)
             ratio = setup.spin_rate_ratio
             for words in unlike(options.commands, setup.system, ratio, setup.options):
-                print(f"simulate: {options.commands} was flown with {words}", file=sys.stderr)
+                say("simulate", f"{options.commands} was flown with {words}")
         writer = simulate(setup, options.turns, options.output, show, stopped.is_set, commands)
     except Cancelled:
         line.end()
-        print(f"simulate: interrupted; {options.output} has what there was", file=sys.stderr)
+        say("simulate", f"interrupted; {options.output} has what there was")
         return 130
     except (TssError, OSError) as error:
         line.end()
-        print(f"simulate: {error}", file=sys.stderr)
+        say("simulate", error)
         return 1
     line.end()
     seconds = time.monotonic() - line.begun

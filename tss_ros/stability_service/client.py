@@ -23,7 +23,7 @@ from tss_interfaces.msg import Confirmation, FloquetResult
 from tss_interfaces.srv import ComputeFloquet
 
 from tss_ros import plots
-from tss_ros.command_line import FIGURES, Parser
+from tss_ros.command_line import FIGURES, Parser, say
 from tss_ros.core import TssError, in_words
 from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
@@ -267,7 +267,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.mode_shape:
             _draw_mode(results[0], options.mode_shape)
     except (*USER_ERRORS, NameValidationException, ValueError) as error:
-        print(f"stability: {' '.join(str(error).split())}", file=sys.stderr)
+        say("stability", " ".join(str(error).split()))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         return 130

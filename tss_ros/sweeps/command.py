@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from tss_ros.command_line import Parser, why_not_written
+from tss_ros.command_line import Parser, say, why_not_written
 from tss_ros.core import METHODS, TssError, in_words
 from tss_ros.core.stability.law_words import NEVER_PUSH
 from tss_ros.scenarios import scenario
@@ -194,7 +194,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             return work.work(question, store, options, stopped.is_set, show)
     except (TssError, OSError) as error:
-        print(f"sweep: {error}", file=sys.stderr)
+        say("sweep", error)
         return 1
 
 

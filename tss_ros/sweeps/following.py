@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tss_ros import plots
-from tss_ros.command_line import FIGURES, Parser, ProgressLine
+from tss_ros.command_line import FIGURES, Parser, ProgressLine, say
 from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
 from tss_ros.scenarios import parameters, scenario, starts
 from tss_ros.sweeps import families, software
@@ -79,10 +79,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _follow(options, stopped)
     except Cancelled:
-        print("follow: interrupted before a motion was found", file=sys.stderr)
+        say("follow", "interrupted before a motion was found")
         return 130
     except (TssError, OSError) as error:
-        print(f"follow: {error}", file=sys.stderr)
+        say("follow", error)
         return 1
 
 
@@ -122,7 +122,7 @@ def _follow(options, stopped):
     if options.plot:
         plots.family(family, _label(options.parameter), system.tether_law).savefig(options.plot)
     if family.ended:
-        print(f"follow: {family.ended}", file=sys.stderr)
+        say("follow", family.ended)
     if stopped.is_set():
         return 130
     return int(bool(family.ended))
