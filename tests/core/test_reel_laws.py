@@ -185,3 +185,34 @@ def test_each_reel_holds_its_own_steady_tension():
     assert np.max(np.abs(found.state.reel_length_m - hub.rest_length_m)) < 1.0
     given = core.ring(reel_tension_n=2.5, **LAW)
     assert reel_tension_n(given, -2.9).tolist() == [2.5] * 3
+
+
+def test_reels_run_away_where_a_longer_tether_pulls_harder_than_they_draw_back():
+    """In a turn T grows with L like T / L: a spring k of the reels below that does not hold."""
+    system = core.ring(damping_n_s_per_m=20.0, **LAW)
+    limit = reel_tension_n(system, -2.9)[0] / 1e4
+    family = core.follow(
+        system, "reel_stiffness_n_per_m", 0.02, 0.0, spin_rate_ratio=-2.9, longest_step=0.05,
+        most_points=60,
+    )  # fmt: skip
+    last = family.points[-1].parameter
+    assert family.ended and last == pytest.approx(limit, rel=1e-3)
+    below = core.ring(damping_n_s_per_m=20.0, reel_stiffness_n_per_m=0.5 * limit, **LAW)
+    found = core.compute_floquet(below, -2.9, certify=False)
+    growth = np.exp(0.5 * limit / 1000.0 * found.period_s)
+    shape = np.abs(found.multiplier[np.array(found.family) == "shape"])
+    assert np.max(shape) == pytest.approx(growth, rel=1e-4) and np.max(shape) > 1.0
+
+
+def test_families_end_with_words_where_a_law_ends():
+    system = core.ring(damping_n_s_per_m=20.0, **LAW)
+    parameter = "reel_damping_n_s_per_m"
+    family = core.follow(system, parameter, 100.0, 0.0, spin_rate_ratio=-2.9)
+    assert family.points[-1].parameter < 0.01
+    assert "reel_damping_n_s_per_m must be at least 0" in family.ended
+    with pytest.raises(TssError, match="reels follow tension only where their law acts"):
+        core.follow(system, parameter, 0.0, 100.0, spin_rate_ratio=-2.9)
+    damped = core.follow(core.ring(damping_n_s_per_m=20.0), "damping_n_s_per_m", 20.0, 0.0,
+                         spin_rate_ratio=-2.9)  # fmt: skip
+    assert not damped.ended and damped.points[-1].parameter == 0.0
+    assert damped.points[-1].verdict == "neutral"

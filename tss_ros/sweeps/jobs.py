@@ -24,8 +24,8 @@ from tss_ros.core import (
     TssError,
 )
 from tss_ros.core.model.orbits import why_not_autonomous
+from tss_ros.core.model.parameters import SPIN_RATE_RATIO
 from tss_ros.core.stability.confirmation import turns_that_tell
-from tss_ros.core.stability.follow import SPIN_RATE_RATIO
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import VARIED
 from tss_ros.sweeps import software

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from tss_ros.core.model.system import System
 
 _OF_BEADS = {"satellite_mass_kg": True, "bead_mass_kg": False}
 _OF_TETHERS = ("tether_length_m", "axial_stiffness_n", "damping_n_s_per_m")
+SPIN_RATE_RATIO = "spin_rate_ratio"
 #: Parameters of systems along which families of motions are followed, beside the spin rate.
 PARAMETERS = (
     *_OF_BEADS, *_OF_TETHERS, "orbit_altitude_m", *(law.name for law in LAW_PARAMETERS)
@@ -138,3 +139,43 @@ def named_perturbations(
         if values.setdefault(strength, law.typical) == 0.0:
             raise TssError(f"perturbations has {name!r}, but {strength} is 0")
     return values
+
+
+def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
+    """Refuse a parameter that there is not, a rate that is followed or 0, or one that is missing.
+
+    Raises
+    ------
+    TssError
+    """
+    if parameter == SPIN_RATE_RATIO:
+        if spin_rate_ratio is not None:
+            raise TssError(f"spin_rate_ratio is followed, so it has no fixed value;"
+                           f" got {spin_rate_ratio:g}")  # fmt: skip
+    elif parameter not in PARAMETERS:
+        raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
+                       f" got {parameter!r}")  # fmt: skip
+    elif not spin_rate_ratio:
+        given = "be given" if spin_rate_ratio is None else "not be 0"
+        raise TssError(f"spin_rate_ratio must {given} to follow {parameter}")
+
+
+def systems_along(
+    system: System, parameter: str, spin_rate_ratio: float | None
+) -> Callable[[float], tuple[System, float]]:
+    """The function that makes system and spin rate [rad/s] of a value of a parameter.
+
+    Raises
+    ------
+    TssError
+        As `check_parameter`.
+    """
+    check_parameter(parameter, spin_rate_ratio)
+    if parameter == SPIN_RATE_RATIO:
+        return lambda value: (system, system.spin_rate_rad_s(value))
+
+    def at(value):
+        varied = with_parameter(system, parameter, value)
+        return varied, varied.spin_rate_rad_s(spin_rate_ratio)
+
+    return at

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tss_ros.core.errors import IntegrationError, NoSteadyState
+from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.axes import spin_axis_of
 from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
@@ -116,15 +116,29 @@ class ClosingEquations:
 
     def _undriven(self, p):
         if p not in self._integrators:
-            system, spin = self.at(p)
+            try:
+                system, spin = self.at(p)
+            except TssError as error:  # beyond what is allowed
+                raise IntegrationError(str(error)) from None
             require_autonomous(system, "a family of periodic motions")
             try:
                 self._integrators[p] = Integrator(system, spin, self.rtol, self.length)
             except NoSteadyState as error:  # feedback has no shape to keep there
                 raise IntegrationError(str(error)) from None
+            if self._integrators[p].rows != self.symmetry.successor.size:
+                del self._integrators[p]
+                raise IntegrationError("reels follow tension only where their law acts")
             if len(self._integrators) > 2:
                 self._integrators.popitem(last=False)
         return self._integrators[p]
+
+    def ends(self, y: np.ndarray, change: float) -> str:
+        """Why p cannot be changed by so much at y; "" if it can."""
+        try:
+            self._undriven(float(y[-1]) + change)
+        except IntegrationError as error:
+            return str(error)
+        return ""
 
     def vector(self, state: State, p: float, loss: float = 0.0) -> np.ndarray:
         """y of a start in the orbit frame."""
@@ -190,7 +204,12 @@ class ClosingEquations:
         k = self.free.size
         jacobian = np.zeros((k + 2, k + 3))
         jacobian[:k, :k] = part - np.eye(k)
-        for column, step in ((k, SMALL_LOSS), (k + 2, SMALL_CHANGE * self.unit(y))):
+        change = SMALL_CHANGE * self.unit(y)
+        if why := self.ends(y, change):
+            change = -change
+            if self.ends(y, change):
+                raise IntegrationError(why)
+        for column, step in ((k, SMALL_LOSS), (k + 2, change)):
             beside = np.array(y)
             beside[column] += step
             jacobian[:k, column] = (self.shoot(beside)[0] - left) / step

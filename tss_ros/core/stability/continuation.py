@@ -220,7 +220,10 @@ class Curve:
                 self._step *= 0.5
             self.point = after
             return after
-        raise Ended(f"no motion was found next to that at {self.point.parameter:.6g}")
+        y, tangent = self.point.solution.y, self.point.tangent
+        why = self.equations.ends(y, SHORTEST_STEP * float(tangent[-1]))
+        words = f"no motion was found next to that at {self.point.parameter:.6g}"
+        raise Ended(f"{words}: {why}" if why else words)
 
 
 def bisected(

@@ -15,7 +15,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
-from tss_ros.core.model.parameters import PARAMETERS, with_parameter
+from tss_ros.core.model.parameters import SPIN_RATE_RATIO, systems_along
 from tss_ros.core.model.symmetry import Symmetry, cyclic_symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.stability import continuation, families
@@ -28,9 +28,10 @@ from tss_ros.core.stability.formation_motion import formation_motion
 from tss_ros.core.stability.modes import stays_in_plane
 from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
-SPIN_RATE_RATIO = "spin_rate_ratio"
 #: Largest step, and distance to which special points are located, over the parameter.
 LONGEST_STEP, TOLERANCE = 0.02, 1e-7
+#: How near to its end a family is that goes no farther, over the parameter, to be solved there.
+NEAR_STOP = 1e-5
 #: Least uncertainty of a special point, over the parameter: motions close to about that.
 ROUNDING = 1e-9
 #: Imaginary part, over the modulus, of multipliers that count as real.
@@ -87,7 +88,7 @@ def follow(
     TssError
         For values that are not allowed, or if no motion closes at the start.
     """
-    at = _systems(system, parameter, spin_rate_ratio)
+    at = systems_along(system, parameter, spin_rate_ratio)
     start, stop = (finite(f"{parameter} to {word}", value)
                    for word, value in (("start from", start), ("stop at", stop)))  # fmt: skip
     finite("longest_step", longest_step, above=0.0)
@@ -105,38 +106,6 @@ def follow(
         ends = (start, stop)
         curve = _own_curve(at, parameter, ends, state, longest_step, cancelled)
     return Run(at, parameter, *ends, curve, cancelled).follow(most_points, progress)
-
-
-def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
-    """Refuse a parameter that there is not, a rate that is followed or 0, or one that is missing.
-
-    Raises
-    ------
-    TssError
-    """
-    if parameter == SPIN_RATE_RATIO:
-        if spin_rate_ratio is not None:
-            raise TssError(f"spin_rate_ratio is followed, so it has no fixed value;"
-                           f" got {spin_rate_ratio:g}")  # fmt: skip
-    elif parameter not in PARAMETERS:
-        raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
-                       f" got {parameter!r}")  # fmt: skip
-    elif not spin_rate_ratio:
-        given = "be given" if spin_rate_ratio is None else "not be 0"
-        raise TssError(f"spin_rate_ratio must {given} to follow {parameter}")
-
-
-def _systems(system, parameter, spin_rate_ratio):
-    """The function that makes system and spin rate [rad/s] of a value of the parameter."""
-    check_parameter(parameter, spin_rate_ratio)
-    if parameter == SPIN_RATE_RATIO:
-        return lambda value: (system, system.spin_rate_rad_s(value))
-
-    def at(value):
-        varied = with_parameter(system, parameter, value)
-        return varied, varied.spin_rate_rad_s(spin_rate_ratio)
-
-    return at
 
 
 def _own_curve(at, parameter, ends, state, longest_step, cancelled):
@@ -254,6 +223,9 @@ class Run:
                 ended = f"{most_points} points were found, the last at {before.point.parameter:.6g}"
         except Ended as end:
             ended = str(end)
+            if (last := self._at_stop(before.point)) is not None:
+                self._keep(last)
+                ended = ""
         except Cancelled:
             ended = f"canceled at {before.point.parameter:.6g}"
         turns = self.equations.turns
@@ -297,13 +269,22 @@ class Run:
             self.curve, before.point, beyond.point,
             lambda point: (point.parameter - self.stop) * self.sense < 0.0, TOLERANCE,
         )  # fmt: skip
-        y = np.array(last.solution.y)
+        return self._at_stop(last) or self._seen(last)
+
+    def _at_stop(self, point):
+        """The motion at the end that was asked for, next to another; None if none was found."""
+        y = np.array(point.solution.y)
+        if abs(y[-1] - self.stop) > NEAR_STOP * self.equations.unit(y):
+            return None
         y[-1] = self.stop
-        solution = solve(self.equations, y, last.linear)
-        if not solution.residual <= CLOSED:
-            return self._seen(last)
-        linear = self.equations.linearise(solution.y, True)
-        return self._seen(Point(solution, linear, beyond.point.tangent))
+        try:
+            solution = solve(self.equations, y, point.linear)
+            if not solution.residual <= CLOSED:
+                return None
+            linear = self.equations.linearise(solution.y, True)
+        except IntegrationError:
+            return None
+        return self._seen(Point(solution, linear, point.tangent))
 
     def _keep(self, seen):
         y, judgement = seen.point.solution.y, seen.spectrum.judgement

@@ -17,19 +17,19 @@ import numpy as np
 
 from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import Cancelled, IntegrationError, TssError
-from tss_ros.core.model.parameters import parameter_of, with_parameter
+from tss_ros.core.model.parameters import (
+    SPIN_RATE_RATIO,
+    check_parameter,
+    parameter_of,
+    with_parameter,
+)
 from tss_ros.core.model.system import State, System
 from tss_ros.core.presentation import Presented, data_frame, found
 from tss_ros.core.stability import continuation, families
 from tss_ros.core.stability.closing import CLOSED, ClosingEquations, solve
 from tss_ros.core.stability.continuation import Curve, Ended, Point
 from tss_ros.core.stability.family import SpecialPoint, in_brief
-from tss_ros.core.stability.follow import (
-    SPIN_RATE_RATIO,
-    Run,
-    check_parameter,
-    symmetry_of,
-)
+from tss_ros.core.stability.follow import Run, symmetry_of
 from tss_ros.core.stability.modes import stays_in_plane
 
 #: First, longest and shortest step, over the values.

@@ -8,7 +8,8 @@ L_0 being the rest length of the segment. m is the inertia of the drum over the 
 radius, c what its brake or motor does against the rate, and k draws the rest length back. L and L'
 are states of the system: each reel adds two multipliers. Laws of users add other forces F.
 
-Fast changes of tension meet c and m; what is slower than c / k is left to the tether.
+Fast changes of tension meet c and m; what is slower than c / k is left to the tether. In a turn a
+longer tether pulls harder, by T/L for each metre: k has to be above that, or reels run away.
 """
 
 from tss_ros.core.model.contract import LawParameter, Reeled, ReelLaw
