@@ -142,7 +142,7 @@ class SimNode(TssNode):
     def stop(self) -> None:
         """End the simulation."""
         self._control.stop()
-        deadline = time.monotonic() + STOP_S + 1.0
+        deadline = time.monotonic() + 2.0 * STOP_S + 1.0
         with contextlib.suppress(Finished):
             # Recorders must be heard until they have the last step.
             while self._thread.is_alive() and time.monotonic() < deadline:
@@ -191,10 +191,11 @@ class SimNode(TssNode):
         try:
             self._control.run_until_end()
             self._steps.flush()
-            last = self._for_listeners.recorded
+            # Recorders say of every step that they have it, but not of what sensors measure.
+            wait_until_acked(self._for_listeners.recorded, STOP_S)
             if not self._control.stopping:
-                last = last + [self._publisher[name] for name in ("tether_states", "bead_states")]
-            wait_until_acked(last, LISTENER_FINISH_S)
+                last = [self._publisher[name] for name in ("tether_states", "bead_states")]
+                wait_until_acked(last, LISTENER_FINISH_S)
             self.finish()
         except Exception as error:
             self.finish(error)

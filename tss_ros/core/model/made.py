@@ -7,6 +7,7 @@ Every function here is a piece to be inlined into the kernels of `forces`, `tayl
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -71,8 +72,10 @@ def _choice(name, arguments, pieces, condition, names):
     return compiled_source(name, "\n".join([*lines, INDENT + "return result"]) + "\n", names)
 
 
-def sum_of_laws(name, laws, outputs, seen, acting):
-    """A function of the sums over the laws that act, of the expressions of each.
+def sum_of_laws(
+    name: str, laws: Sequence, outputs: Sequence, seen: tuple[str, Mapping], acting: str
+) -> Callable:
+    """A function of the sums over the laws that act of each one's expressions.
 
     Parameters
     ----------
@@ -93,9 +96,8 @@ def sum_of_laws(name, laws, outputs, seen, acting):
         there = {s: e for s, e in zip(sums, expressions) if as_number(e) != 0.0}
         if not there:
             continue
-        functions[own] = simd.inlined(
-            function_of(own, arguments, inputs, there.values(), SCALARS)
-        )
+        made = function_of(own, arguments, inputs, there.values(), SCALARS)
+        functions[own] = simd.inlined(made)
         lines.append(f"{INDENT}if {acting} & {1 << i}:")
         lines.append(f"{2 * INDENT}d = {own}({arguments})")
         value = "d[{}]" if len(there) > 1 else "d"
