@@ -286,14 +286,24 @@ def test_parameters_of_own_laws_are_keys_of_scenarios_and_of_sweeps(package, tmp
 DOCUMENTED = """
 import json
 import numpy as np
-from tss_ros.core import State, averaged_state, ring
-from tss_ros.core.model.feedback import thrust
+from tss_ros.core import averaged_state, ring
+from tss_ros.core.model import forces
+from tss_ros.core.model.feedback import thrust, with_feedback
+from tss_ros.core.model.kernel_arrays import kernel_arrays
+from tss_ros.core.model.reel_law import rows_of
 
 system = ring(soft_thrust_n=0.2)
 turn = averaged_state(system, -2.5)
 at_rest = thrust(system, -2.5, turn)
 turn.velocity_m_s[0] += [0.0, 0.0, 0.15]
-print(json.dumps([np.abs(at_rest).max(), *(float(z) for z in thrust(system, -2.5, turn)[:, 2])]))
+thrusts = [np.abs(at_rest).max(), *(float(z) for z in thrust(system, -2.5, turn)[:, 2])]
+system = ring(slip_n=0.2, reel_damping_n_s_per_m=30.0, reel_mass_kg=4.0, reel_tension_n=0.5)
+arrays = with_feedback(kernel_arrays(system, 0.0), system, system.spin_rate_rad_s(-2.5))
+v, r = (np.array(x) for x in rows_of(system, averaged_state(system, -2.5)))
+v[3:, 0], r[3:, 0] = (1e-3, 0.0, -0.5), (10e3, 10e3, 10001.0)
+a = np.empty_like(r)
+forces.acceleration(arrays, np.zeros(3, dtype=bool), 0.0, v, r, a)
+print(json.dumps([thrusts, a[3:].tolist()]))
 """
 
 
@@ -303,41 +313,17 @@ def documented():
     return re.findall(r"```python\n(.*?)```", page, re.S)
 
 
-def test_the_law_of_the_page_does_what_the_page_says(tmp_path):
-    (tmp_path / "soft_thrust.py").write_text(documented()[0])
-    at_rest, *found = answer(DOCUMENTED, tmp_path, "soft_thrust:LAW")
+def test_the_laws_of_the_page_do_what_the_page_says(tmp_path):
+    """The brake holds beside the package's own law of reels."""
+    for name, code in zip(("soft_thrust", "slip"), documented(), strict=True):
+        (tmp_path / f"{name}.py").write_text(code)
+    (at_rest, *thrusts), rates = answer(DOCUMENTED, tmp_path, "soft_thrust:LAW,slip:LAW")
     expected = [-0.2 * e / (0.05**2 + e**2) ** 0.5 for e in (0.1, -0.05, -0.05)]
     assert at_rest < 1e-9
-    assert found == pytest.approx(expected, rel=1e-9)
-
-
-REELS = """
-import json
-import numpy as np
-from tss_ros.core import averaged_state, ring
-from tss_ros.core.model import forces
-from tss_ros.core.model.feedback import with_feedback
-from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.reel_law import rows_of
-
-system = ring(slip_n=0.2, reel_damping_n_s_per_m=30.0, reel_mass_kg=4.0, reel_tension_n=0.5)
-arrays = with_feedback(kernel_arrays(system, 0.0), system, system.spin_rate_rad_s(-2.5))
-v, r = (np.array(x) for x in rows_of(system, averaged_state(system, -2.5)))
-v[3:, 0], r[3:, 0] = (1e-3, 0.0, -0.5), (10e3, 10e3, 10001.0)
-a = np.empty_like(r)
-forces.acceleration(arrays, np.zeros(3, dtype=bool), 0.0, v, r, a)
-print(json.dumps(a[3:].tolist()))
-"""
-
-
-def test_the_brake_of_the_page_holds_beside_the_law_of_the_package(tmp_path):
-    (tmp_path / "slip.py").write_text(documented()[1])
-    found = answer(REELS, tmp_path, "slip:LAW")
+    assert thrusts == pytest.approx(expected, rel=1e-9)
     rate, out = (1e-3, 0.0, -0.5), (0.0, 0.0, 1.0)
-    force = [
-        0.2 * x / (1e-6 + x**2) ** 0.5 + y + 30.0 * x + 1.0 * y for x, y in zip(rate, out)
-    ]  # fmt: skip
-    assert found == [pytest.approx([-(0.5 + f) / 4.0, 0.0, 0.0], rel=1e-9) for f in force]
+    force = [0.2 * x / (1e-6 + x**2) ** 0.5 + y + 30.0 * x + 1.0 * y for x, y in zip(rate, out)]
+    assert rates == [pytest.approx([-(0.5 + f) / 4.0, 0.0, 0.0], rel=1e-9) for f in force]
 
 
 SLIPPING = """
