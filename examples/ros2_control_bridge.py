@@ -24,7 +24,7 @@ class Bridge(Node):
 
     def __init__(self):
         super().__init__("ros2_control_bridge")
-        self.thrusters = {}
+        self.thrusters, self.thrusting, self.reeled = {}, set(), set()
         self.states = self.create_publisher(JointState, "formation_states", 10)
         self.reels = self.create_publisher(JointState, "sim_node/cmd_tether", 10)
         self.create_subscription(BeadStates, "bead_states", self.on_beads, 10)
@@ -34,12 +34,14 @@ class Bridge(Node):
     def on_beads(self, beads):
         """Publish every bead as three joints."""
         names = [f"{name}_{axis}" for name in beads.name for axis in "xyz"]
+        self.thrusting.update(names)
         self.publish(beads.header.stamp, names, beads.position_m, beads.velocity_m_s)
 
     def on_tethers(self, tethers):
         """Publish every whole tether as one joint: what is out of all its segments."""
         whole = [name.partition("_segment_")[0] for name in tethers.name]
         names = list(dict.fromkeys(whole))
+        self.reeled.update(names)
         of = [names.index(name) for name in whole]
         lengths, rates = (
             np.bincount(of, x) for x in (tethers.rest_length_m, tethers.rest_rate_m_s)
@@ -57,6 +59,15 @@ class Bridge(Node):
 
         Its stamps are of a wall clock. Without one a command holds from the next step on.
         """
+        known = self.thrusting if commands.effort else self.reeled
+        if unknown := sorted(set(commands.name) - known):
+            kind = "thrust along" if commands.effort else "reel of"
+            self.get_logger().error(
+                f"no {kind} {', '.join(unknown)}; allowed: {', '.join(sorted(known)) or 'none yet'}"
+                ". Give thrusters and reels a hardware component each.",
+                throttle_duration_sec=10.0,
+            )
+            return
         if not commands.effort:
             self.reels.publish(
                 JointState(

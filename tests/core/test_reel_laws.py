@@ -199,6 +199,7 @@ def test_reels_run_away_where_a_longer_tether_pulls_harder_than_they_draw_back()
     assert family.ended and last == pytest.approx(limit, rel=1e-3)
     below = core.ring(damping_n_s_per_m=20.0, reel_stiffness_n_per_m=0.5 * limit, **LAW)
     found = core.compute_floquet(below, -2.9, certify=False)
+    assert "the shape may grow: |rho| is 1.00" in found.message
     growth = np.exp(0.5 * limit / 1000.0 * found.period_s)
     shape = np.abs(found.multiplier[np.array(found.family) == "shape"])
     assert np.max(shape) == pytest.approx(growth, rel=1e-4) and np.max(shape) > 1.0

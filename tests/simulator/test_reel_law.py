@@ -243,6 +243,8 @@ def test_the_law_keeps_the_limits_of_reels(tmp_path):
     ({"reel_sample_s": 5.0},
      "reel_sample_s is 5 s; allowed: whole multiples of publish_period_s, 2 s, as 4 or 6"),
     ({"reel_sample_s": 0.5}, "publish_period_s, 2 s, as 2"),
+    ({"reel_damping_n_s_per_m": 0.0},
+     "reel_sample_s is 2 s, but there is no law to sample; allowed: with reel_damping_n_s_per_m"),
     ({"reel_sample_s": None, "deployed_m": 5e3},
      "deployed_m is given and reel_damping_n_s_per_m lets reels follow tension; allowed: the whole"
      " length, or reel_sample_s"),
@@ -253,6 +255,16 @@ def test_what_is_wrong_is_named(tmp_path, change, said):
     with pytest.raises(TssError) as caught:
         setup_in(tmp_path, {k: v for k, v in {**LAW, **change}.items() if v is not None})
     assert said in str(caught.value)
+
+
+def test_a_law_that_is_sampled_aims_at_the_tension_of_the_one_that_acts_all_the_time(tmp_path):
+    """Not at the tension of the start, which the gravity gradient stretches: lengths stay."""
+    run = RUN | {"disturbance_m": 0.0, "publish_period_s": 4.0}
+    live = simulation(setup_in(tmp_path, {**LAW, "reel_sample_s": 4.0}, run))
+    rests = np.array([s.alone.rest_length_m[0] for s in taken(live, 1200)])
+    turn = round(live.setup.turn_s / 4.0)
+    assert abs(rests[-turn:].mean() - 1e4) < 0.02
+    assert np.ptp(rests[-turn:]) > 0.2
 
 
 def test_a_multiple_of_a_period_with_digits_is_one(tmp_path):

@@ -92,10 +92,12 @@ def test_hardware_components_push_satellites_and_move_reels(start, client, bridg
     assert reels.latest["tether_1"][1] == -0.2 and reels.latest["tether_3"][0] > 10_000.0
     mixed = Component(simulator, [*SATELLITES, "tether_1"], "effort")
     mixed.commands.publish(JointState(name=mixed.joints, effort=[0.0] * 9, velocity=[0.1]))
+    mixed.commands.publish(JointState(name=SATELLITES, effort=[0.0] * 8))
     thrusters.write(9 * [float("nan")])
     process.wait_for_line("command refused: force")
     assert process.running and bridge.poll() is None
     bridge.terminate()
     _, said = bridge.communicate(timeout=10)
-    assert b"9 efforts are for 10 joints" in said
+    assert b"no thrust along tether_1; allowed: satellite_1_x" in said
+    assert b"8 efforts are for 9 joints" in said
     assert process.stop() == 0

@@ -21,6 +21,7 @@ from tss_ros.core.model.feedback import acting_thrusts
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
 from tss_ros.core.model.laws.orbit import ELEMENTS
 from tss_ros.core.model.orbits import why_not_autonomous
+from tss_ros.core.model.reel_law import acting_reel_laws
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
 from tss_ros.core.stability.law_words import law_in_words, laws_in_words
@@ -115,6 +116,12 @@ def describe(recording: Recording) -> str:
         limit = given[THRUST_LIMIT.name]
         values.append(f"{THRUST_LIMIT.name} {limit:g}" if limit else "without a limit")
         lines.append(f"feedback      {', '.join(values)}")
+    for law in acting_reel_laws(r.system):
+        values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
+        lines.append(f"reels         {law.name}: {', '.join(values)}")
+    out_m = r.rests_m[r.rests_m > 0.0]  # neither cut nor on a reel
+    if np.ptp(r.rests_m, axis=0).any() and out_m.size:
+        lines.append(f"rest lengths  {out_m.min():.2f} to {out_m.max():.2f} m")
     if r.versions:
         lines.append(f"simulated by  {', '.join(r.versions)}")
     return "\n".join(map(one_line, lines))

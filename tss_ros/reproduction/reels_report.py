@@ -16,7 +16,6 @@ from tss_ros.plots.style import (
     MARKERS,
     Figure,
     finish,
-    legend_below,
 )
 from tss_ros.reproduction.feedback import (
     REEL_DAMPINGS,
@@ -46,8 +45,9 @@ def reels_figure(found: Mapping[str, Any]) -> Figure:
     left.set(xscale="log", yscale="log")
     finish(left, "damping c of the reels [N s/m]",
            "what the slowest shape in the plane\nloses in a turn, 1 - |ρ| [-]")  # fmt: skip
-    left.legend(frameon=False)
-    satellites, rate = REELED[0]
+    left.set_title("Floquet multipliers", fontsize=9, color=INK)
+    left.legend(frameon=False, fontsize=8)
+    satellites, _ = REELED[0]
     for axes, push in zip(others, REELS_PUSHES_M):
         for i, damping in enumerate(REELS_WATCHED):
             label = f"c = {damping:g} N s/m" if damping else "fixed tethers"
@@ -56,13 +56,12 @@ def reels_figure(found: Mapping[str, Any]) -> Figure:
                       label=label)  # fmt: skip
         axes.set(yscale="log")
         axes.xaxis.get_major_locator().set_params(integer=True)
-        axes.set_title(f"{satellites} satellites after a push of {push:g} m", fontsize=9, color=INK)
+        axes.set_title(f"{satellites} satellites, simulated after a push of {push:g} m",
+                       fontsize=9, color=INK)  # fmt: skip
         finish(axes, "turn", "largest change of a tether's length [m]")
-    legend_below(figure, axes, columns=3)
-    figure.suptitle(
-        f"Reels that give way damp what stretches tethers; simulations at {rate:g} Ω", color=INK,
-        fontsize="medium",
-    )  # fmt: skip
+    others[-1].legend(frameon=False, fontsize=8, loc="center right")
+    figure.suptitle("Reels that give way damp what stretches tethers", color=INK,
+                    fontsize="medium")  # fmt: skip
     return figure
 
 
@@ -75,7 +74,8 @@ def _watched(motions):
         f" {REELS_TURNS} turns as a change of {last[little, 0.0]:.2g} m of a length, with"
         f" c = {damping:g} N s/m {last[little, damping]:.1g} m are left. After a push of"
         f" {much:g} m tethers go slack and taut. Fixed ones without damping lose the shape, and"
-        f" lengths change by {last[much, 0.0] / 1e3:.2g} km; the reels hold it, and"
+        f" lengths change by {last[much, 0.0] / 1e3:.2g} km, as they do with stiffer reels of"
+        f" c = {REELS_WATCHED[1]:g} N s/m. Reels of {damping:g} N s/m hold it, and"
         f" {last[much, damping]:.1g} m are left. That rest grows evenly, as it does where a push"
         " has changed the spin rate a little."
     )

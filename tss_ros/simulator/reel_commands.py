@@ -271,6 +271,11 @@ def reel_start(loaded: Scenario, system: System, publish_period_s: float) -> Ree
                 " controller can sample"
             )
         every = _states_between(given.sample_s, publish_period_s)
+    elif given.sample_s is not None:
+        raise TssError(
+            f"reel_sample_s is {given.sample_s:g} s, but there is no law to sample; allowed: with"
+            f" {REEL_DAMPING.name} above 0"
+        )
     elif loaded.reels is None:
         return None
     commands = []

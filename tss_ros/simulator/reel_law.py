@@ -16,7 +16,8 @@ import numpy as np
 
 from tss_ros.core import TssError
 from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_STIFFNESS, REEL_TENSION
-from tss_ros.core.model.reels import reels
+from tss_ros.core.model.reel_law import reel_tension_n
+from tss_ros.core.model.reels import deployed_system, reel_names, reels
 from tss_ros.messages.steps import States
 from tss_ros.simulator.commands import CommandTable
 from tss_ros.simulator.reel_commands import (
@@ -35,8 +36,9 @@ class ReelLaw:
     Parameters
     ----------
     setup : Setup
-        What the run begins with: L_0 is what is out then, T_0 the steady tension next to each reel
-        there if none is given.
+        What the run begins with: L_0 is what is out then. T_0 is the steady tension next to each
+        reel there if none is given, as `core.model.reel_law` has it; that of the start where the
+        formation does not spin about the orbit normal.
     acts : bool
         Whether it acts, where the setup has one.
 
@@ -59,8 +61,7 @@ class ReelLaw:
             )
             self.left, self._every, self._begun_m = 1, start.every, start.length_m
             self.limits = Limits.of(setup.options)
-            next_to = setup.tension_n[self._next_to_reels(np.array(start.length_m))]
-            self._aim_n = [aim_n] * len(next_to) if aim_n else next_to.tolist()
+            self._aim_n = [aim_n] * len(start.length_m) if aim_n else self._steady_n(setup)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -114,6 +115,14 @@ class ReelLaw:
             table.post(ReelCommand(time_ns, place, RATE, (point,), self.limits, from_law=True))
             posted = True
         return posted
+
+    def _steady_n(self, setup):
+        """Steady tension [N] next to each reel as the run begins."""
+        length_m, spin = setup.reels.length_m, setup.system.spin_rate_rad_s(setup.spin_rate_ratio)
+        if not (setup.system.autonomous and setup.system.turning_rad_s(spin)):
+            return setup.tension_n[self._next_to_reels(np.array(length_m))].tolist()
+        out, _ = deployed_system(setup.system, dict(zip(reel_names(setup.system), length_m)))
+        return reel_tension_n(out, setup.spin_rate_ratio).tolist()
 
     def _next_to_reels(self, out_m):
         """Which segments are next to their reels."""

@@ -191,8 +191,7 @@ class SimNode(TssNode):
         try:
             self._control.run_until_end()
             self._steps.flush()
-            # Recorders say of every step that they have it, but not of what sensors measure.
-            wait_until_acked(self._for_listeners.recorded, STOP_S)
+            wait_until_acked(self._for_listeners.recorded, STOP_S)  # no recorder tells of these
             if not self._control.stopping:
                 last = [self._publisher[name] for name in ("tether_states", "bead_states")]
                 wait_until_acked(last, LISTENER_FINISH_S)

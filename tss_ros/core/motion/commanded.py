@@ -241,7 +241,10 @@ class CommandedMotion:
         if self._system.law_parameters[SHAPE_KEEPING.name]:
             raise TssError(f"{SHAPE_KEEPING.name} keeps one shape, but a rest length is to change")
         if words := what_yields(self._system):
-            raise TssError(f"{words} moves the reels, but a command is to change a rest length")
+            raise TssError(
+                f"{words} moves the reels, but a command is to change a rest length; allowed:"
+                " commands that leave all tethers as built"
+            )
 
     def _with(self, leg):
         """The integrator of a leg."""

@@ -25,6 +25,7 @@ from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.hanging import hanging_floquet
 from tss_ros.core.stability.judge import (
     SMALLEST_DRIFT,
+    SMALLEST_TOLERANCE,
     drift_radius,
     judge,
     judge_frozen,
@@ -277,6 +278,14 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         words += f"; feedback that aims at {aim:.8g} Omega gives the spin what is lost"
     if found.radius > SMALLEST_DRIFT:
         words += f"; growth of the spin below {found.radius:.1e} a turn is not told from its drift"
+    which, judged = found.judgement.deciding, found.judgement
+    if judged.verdict == "neutral" and which >= 0:
+        beyond = abs(found.multiplier[which]) - 1.0
+        if beyond > SMALLEST_TOLERANCE:
+            words += (
+                f"; the {found.family[which]} may grow: |rho| is {1.0 + beyond:.6f}, but what the"
+                f" motion loses of its spin leaves {judged.tolerance[which]:.1e} of it unknown"
+            )
     return _result(
         "monodromy",
         integrator,

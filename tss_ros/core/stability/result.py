@@ -229,7 +229,8 @@ class FloquetResult(Presented, Stored):
 #: What the verdicts say that multipliers decided.
 _REASONS = {
     "unstable": "a multiplier lies outside the unit circle",
-    "neutral": "no multiplier lies outside the unit circle, and not all of the shape lie inside",
+    "neutral": "no multiplier lies outside the unit circle by more than it is known to, and not all"
+    " of the shape lie inside",
     "asymptotically stable": "all multipliers of the shape lie inside the unit circle",
     "undecided": "no leading multiplier that was found lies outside, but some were not found",
 }
