@@ -60,11 +60,14 @@ class Bridge(Node):
         Its stamps are of a wall clock. Without one a command holds from the next step on.
         """
         known = self.thrusting if commands.effort else self.reeled
+        if not known:
+            self.get_logger().warning("no states yet; commands are not passed on", once=True)
+            return
         if unknown := sorted(set(commands.name) - known):
             kind = "thrust along" if commands.effort else "reel of"
             self.get_logger().error(
-                f"no {kind} {', '.join(unknown)}; allowed: {', '.join(sorted(known)) or 'none yet'}"
-                ". Give thrusters and reels a hardware component each.",
+                f"no {kind} {', '.join(unknown)}; allowed: {', '.join(sorted(known))}."
+                " Give thrusters and reels a hardware component each.",
                 throttle_duration_sec=10.0,
             )
             return

@@ -137,7 +137,7 @@ def test_the_core_scenarios_and_bags_need_no_extra(bare):
     code = "import tss_ros.core as c, tss_ros.bags.recording, tss_ros.scenarios.scenario as s\n"
     code += "print(s.load('three_star').build().n, c.ring(5).n)"
     assert bare("-c", code).stdout == "3 5\n"
-    assert bare("-m", "tss_ros", "verify", "no_bag").stderr.startswith("verify: ")
+    assert bare("-m", "tss_ros", "verify", "no_bag").stderr.startswith("tss verify: ")
     figure = bare("-c", "from tss_ros import plots; plots.deviation")
     assert figure.stderr.splitlines()[-1] == (
         "ModuleNotFoundError: tss_ros.plots needs matplotlib, which is not installed:"
