@@ -246,7 +246,8 @@ def test_who_joins_deaf_joins_anew():
     joined = subprocess.run(
         [sys.executable, "-c", JOIN], capture_output=True, text=True, timeout=60, check=True
     )
-    assert joined.stdout.startswith("[] ['late'"), joined.stdout
+    # The middleware may say before it that another process had a port of its own just then.
+    assert joined.stdout.splitlines()[-1].startswith("[] ['late'"), joined.stdout
     assert len(re.findall("joining anew", joined.stderr)) == 1, joined.stderr
 
 
