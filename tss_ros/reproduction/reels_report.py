@@ -70,12 +70,11 @@ def _watched(motions):
     (little, much), (*_, damping) = REELS_PUSHES_M, REELS_WATCHED
     last = {key: swing[-1] for key, swing in motions.items()}
     return (
-        f"A push of {little:g} m does not let tethers go slack: with fixed ones it is there after"
-        f" {REELS_TURNS} turns as a change of {last[little, 0.0]:.2g} m of a length, with"
-        f" c = {damping:g} N s/m {last[little, damping]:.1g} m are left. After a push of"
-        f" {much:g} m tethers go slack and taut. Fixed ones without damping lose the shape, and"
-        f" lengths change by {last[much, 0.0] / 1e3:.2g} km, as they do with stiffer reels of"
-        f" c = {REELS_WATCHED[1]:g} N s/m. Reels of {damping:g} N s/m hold it, and"
+        f"{REELS_TURNS} turns after a push of {little:g} m, a length of fixed tethers still changes"
+        f" by {last[little, 0.0]:.2g} m; with c = {damping:g} N s/m {last[little, damping]:.1g} m"
+        f" are left. After a push of {much:g} m fixed tethers lose the shape, and lengths change by"
+        f" {last[much, 0.0] / 1e3:.2g} km. Stiff reels of {REELS_WATCHED[1]:g} N s/m lose it, too."
+        f" Reels of {damping:g} N s/m hold it, and"
         f" {last[much, damping]:.1g} m are left. That rest grows evenly, as it does where a push"
         " has changed the spin rate a little."
     )

@@ -283,8 +283,8 @@ def _whole(integrator, motion, words, missed_by, how, cancelled):
         beyond = abs(found.multiplier[which]) - 1.0
         if beyond > SMALLEST_TOLERANCE:
             words += (
-                f"; the {found.family[which]} may grow: |rho| is {1.0 + beyond:.6f}, but what the"
-                f" motion loses of its spin leaves {judged.tolerance[which]:.1e} of it unknown"
+                f"; the {found.family[which]} may grow: |rho| is {1.0 + beyond:.6f}, known to"
+                f" {judged.tolerance[which]:.1e}"
             )
     return _result(
         "monodromy",
