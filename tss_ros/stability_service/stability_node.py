@@ -8,6 +8,7 @@ import traceback
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.task import Future
 from tss_interfaces.action import Follow, Sweep
 from tss_interfaces.srv import ComputeFloquet, ComputeGrowth, FindCriticalRates
@@ -41,6 +42,8 @@ MOST_WAITING = 50
 TURN_CHECK_S = 0.1
 #: How often [s] the progress of a request is logged at most.
 PROGRESS_PERIOD_S = 5.0
+#: How long [s] a node that ends waits for the request and the goal that it gives up.
+STOP_S = 2.0
 
 
 class StabilityNode(TssNode):
@@ -64,7 +67,7 @@ class StabilityNode(TssNode):
         self._overrides = options
         # Built once here so that a wrong system is refused at the start, not at the first request.
         self._build({})
-        self._stopping = threading.Event()
+        self._stopping, self._threads = threading.Event(), set()
         self._results = create_publisher(self, read_topics()["stability_results"])
         self._requests = collections.deque()
         for kind, name, work in (
@@ -84,6 +87,10 @@ class StabilityNode(TssNode):
     def stop(self) -> None:
         """Give up the request and the goal in hand, if any."""
         self._stopping.set()
+        # A result is published as long as there is something to publish it with.
+        deadline = time.monotonic() + STOP_S
+        for thread in tuple(self._threads):
+            thread.join(max(deadline - time.monotonic(), 0.0))
         # destroy_node leaves action servers, and they the node's shared memory.
         for action in self._actions:
             action.destroy()
@@ -142,13 +149,20 @@ class StabilityNode(TssNode):
                 ended = "ended" if isinstance(error, Cancelled) else "refused"
                 self.get_logger().warning(f"request {ended}: {error}")
             except Exception as error:
+                if isinstance(error, InvalidHandle) and self._stopping.is_set():
+                    return  # the node did not wait any longer
                 # A mistake of ours must not take the node away from those who ask next.
                 response.message = f"internal error: {type(error).__name__}: {error}"
                 self.get_logger().error(f"request failed: {traceback.format_exc()}")
             done.set_result(response)
 
-        threading.Thread(target=work, daemon=True).start()
-        return await done
+        thread = threading.Thread(target=work, daemon=True)
+        self._threads.add(thread)
+        thread.start()
+        try:
+            return await done
+        finally:
+            self._threads.discard(thread)
 
     def _build(self, overrides):
         """System, spin rate ratio and the scenario's own start of the node's system, overridden."""
