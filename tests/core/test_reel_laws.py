@@ -1,12 +1,17 @@
 """Reels that follow tension: their multipliers, variations through switches, and energy."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tss_ros import core
 from tss_ros.core import Commands, Propagator, State, TssError
 from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_MASS, REEL_STIFFNESS, REEL_TENSION
+from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.reel_law import reel_tension_n
+from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scaled
@@ -130,9 +135,7 @@ def test_commands_at_short_intervals_come_to_the_law():
 
 def test_families_critical_rates_and_modes_are_those_of_the_loop():
     damped = core.ring(damping_n_s_per_m=20.0, **LAW)
-    family = core.follow(
-        damped, "reel_damping_n_s_per_m", 1000.0, 3000.0, spin_rate_ratio=-2.9
-    )
+    family = core.follow(damped, "reel_damping_n_s_per_m", 1000.0, 3000.0, spin_rate_ratio=-2.9)
     assert len(family.points) > 3 and family.points[-1].parameter == pytest.approx(3000.0)
     here = core.compute_floquet(damped, -2.9, certify=False)
     first = family.points[0]
@@ -145,17 +148,9 @@ def test_families_critical_rates_and_modes_are_those_of_the_loop():
     assert motion.shape.shape == (9, 3, 3) and np.isfinite(motion.shape).all()
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"shape": "chain", "ratio": 0.0}, "spins about the orbit normal, but spin_rate_ratio is 0"),
-    ({"spin_axis": [0.0, 1.0, 0.0]}, "spins about the orbit normal"),
-    ({"eccentricity": 0.1}, r"a reel that follows tension .* needs forces that rest"),
-    ({"leading": 4}, "all multipliers of reels that follow tension are found or none"),
-])  # fmt: skip
-def test_what_cannot_be_asked_is_refused(change, words):
-    change = {"shape": "ring", "ratio": -2.9, "leading": None} | change
-    ratio, leading = change.pop("ratio"), change.pop("leading")
-    with pytest.raises(TssError, match=words):
-        core.compute_floquet(core.formation(**LAW, **change), ratio, leading=leading)
+def test_leading_multipliers_are_refused():
+    with pytest.raises(TssError, match="all multipliers of reels that follow tension are found or"):
+        core.compute_floquet(STAR, -2.9, leading=4)
 
 
 def test_states_have_the_rest_lengths_of_their_system():
@@ -217,3 +212,143 @@ def test_families_end_with_words_where_a_law_ends():
                          spin_rate_ratio=-2.9)  # fmt: skip
     assert not damped.ended and damped.points[-1].parameter == 0.0
     assert damped.points[-1].verdict == "neutral"
+
+
+# --- hanging, on ellipses, about other axes
+
+
+def pair(**more):
+    """Two satellites on a reel of 3 kg that draws back with 0.002 N/m."""
+    law = {"reel_damping_n_s_per_m": 10.0, "reel_stiffness_n_per_m": 0.002, "reel_mass_kg": 3.0}
+    tether = {"tether_length_m": [1000.0], "axial_stiffness_n": 5e4, "damping_n_s_per_m": 5.0}
+    return core.formation(
+        "chain", 2, satellite_mass_kg=[100.0, 50.0], **(tether | law | more)
+    )  # fmt: skip
+
+
+def closed_form(system):
+    """Exponents over Omega of a hanging pair in its plane: stretch, angle and rest length.
+
+    l'' - 2 Omega l theta' - 3 Omega^2 l = -T / mu and theta'' + 2 Omega l' / l + 3 Omega^2 theta =
+    0 with m L'' = T - T_0 - c L' - k (L - L_0) and T = EA (l - L) / L + C (l' - L').
+    """
+    orbit, values, (mass, other) = system.orbit_rate_rad_s, system.law_parameters, system.mass_kg
+    mu, m = mass * other / (mass + other), values["reel_mass_kg"]
+    c, k = values["reel_damping_n_s_per_m"], values["reel_stiffness_n_per_m"]
+    [ea], [damping] = system.axial_stiffness_n, system.damping_n_s_per_m
+    [rest], gradient = system.rest_length_m, 3.0 * orbit**2
+    length = ea / (ea / rest - gradient * mu)
+    by_l, by_rest = ea / rest, -ea * length / rest**2
+    a = np.zeros((6, 6))
+    a[:3, 3:] = np.eye(3)
+    a[3] = [gradient - by_l / mu, 0, -by_rest / mu, -damping / mu, 2 * orbit * length, damping / mu]
+    a[4] = [0, -gradient, 0, -2 * orbit / length, 0, 0]
+    a[5] = [by_l / m, 0, (by_rest - k) / m, damping / m, 0, -(c + damping) / m]
+    return np.linalg.eigvals(a) / orbit
+
+
+@pytest.mark.parametrize("change", [
+    {}, {"damping_n_s_per_m": 0.0, "reel_damping_n_s_per_m": 3000.0},
+    {"reel_damping_n_s_per_m": 1.0, "reel_stiffness_n_per_m": 3e-4, "reel_mass_kg": 1.0},
+])  # fmt: skip
+def test_a_reel_damps_the_libration_of_a_hanging_pair_in_the_plane_alone(change):
+    system = pair(linear_gravity=True, **change)
+    found = core.compute_floquet(system, 0.0)
+    exponent, family = found.exponent / system.orbit_rate_rad_s, np.array(found.family)
+    for wanted in closed_form(system):
+        assert np.min(np.abs(exponent / wanted - 1.0)) < 1e-6, wanted
+    assert Counter(family) == {"centre of mass": 6, "libration": 4, "shape": 4}
+    librations = exponent[family == "libration"]
+    across = np.abs(np.abs(librations.imag) - 2.0) < 1e-6
+    assert np.count_nonzero(across) == 2 and np.max(np.abs(librations[across].real)) < 1e-9
+    assert np.all(librations[~across].real < -1e-5)
+    assert max(found.segment_error, found.closure_residual) < 1e-7 and found.liouville_error < 1e-7
+
+
+def test_a_hanging_reel_runs_away_where_gravity_grows_faster_than_it_draws_back():
+    limit = reel_tension_n(pair(linear_gravity=True), 0.0)[0] / 1000.0
+    verdicts = [
+        core.compute_floquet(pair(linear_gravity=True, reel_stiffness_n_per_m=k * limit), 0.0)
+        for k in (0.98, 1.02)
+    ]
+    assert [found.verdict for found in verdicts] == ["unstable", "asymptotically stable"]
+
+
+def test_a_reel_must_hold_the_tension_of_what_hangs():
+    found = core.compute_floquet(pair(reel_tension_n=0.2), 0.0)
+    assert found.verdict == "none found"
+    assert "the reel of tether_1 holds reel_tension_n 0.2 N, where it would hang" in found.message
+    rest = core.initial_state(pair(), 0.0)
+    moved = State(rest.position_m, rest.velocity_m_s, reel_length_m=[999.0], reel_rate_m_s=[0.0])
+    found = core.compute_floquet(pair(), 0.0, state=moved, correct=False)
+    assert "its reels have paid out up to 1 m" in found.message
+
+
+def test_on_an_ellipse_beads_and_reels_move_as_among_the_stars():
+    """Against another program: masses, tether and reel in inertial axes."""
+    system, end = pair(eccentricity=0.1), 2000.0
+    start, orbit = core.disturbed(core.initial_state(system, 0.0), 5.0, 1), ReferenceOrbit(system)
+    [aim_n], [ea], [damping] = reel_tension_n(system, 0.0), system.axial_stiffness_n, [5.0]
+
+    def rates(_, y):
+        place, velocity, (length, rate) = y[:6].reshape(2, 3), y[6:12].reshape(2, 3), y[12:]
+        apart = place[1] - place[0]
+        distance = np.linalg.norm(apart)
+        along = apart / distance
+        growth = (velocity[1] - velocity[0]) @ along
+        tension = ea * (distance - length) / length + damping * (growth - rate)
+        tension *= distance > length
+        a = -MU_EARTH * place / np.linalg.norm(place, axis=1)[:, None] ** 3
+        a += tension * np.array([along, -along]) / system.mass_kg[:, None]
+        pull = tension - aim_n - 10.0 * rate - 0.002 * (length - 1000.0)
+        return np.concatenate([velocity.ravel(), a.ravel(), [rate, pull / 3.0]])
+
+    centre, speed = orbit.state(np.zeros(1))
+    turning = orbit.frame(np.zeros(1))[1]
+    velocity = start.velocity_m_s + np.cross(turning, start.position_m) + speed
+    begin = np.concatenate([(start.position_m + centre).ravel(), velocity.ravel(), [1000.0, 0.0]])
+    y = solve_ivp(rates, (0.0, end), begin, "DOP853", rtol=1e-12, atol=1e-8).y[:, -1]
+    axes, _ = orbit.frame(np.array([end]))
+    place = (y[:6].reshape(2, 3) - orbit.state(np.array([end]))[0]) @ axes[0].T
+    motion = Propagator(system, 0.0, start, rtol=1e-12)
+    position, _ = motion.sample(np.array([end]))
+    np.testing.assert_allclose(position[0], place, rtol=0.0, atol=1e-6)
+    assert motion.rests[0][0, 0] == pytest.approx(y[12], abs=1e-7)
+    assert abs(y[12] - 1000.0) > 1.0
+
+
+def test_a_reel_damps_a_pair_that_hangs_on_an_ellipse():
+    system = pair(eccentricity=0.05)
+    found = core.compute_floquet(system, 0.0)
+    family = np.array(found.family)
+    assert found.verdict == "asymptotically stable" and len(family) == 6 * 2 + 2
+    assert max(found.segment_error, found.convergence_error, found.liouville_error) < 1e-8
+    assert found.closure_residual < 1e-9 and found.state.reel_length_m.shape == (1,)
+    swings = np.sort(np.abs(found.multiplier[family == "axis tilt"]))
+    assert swings[2] == pytest.approx(1.0, abs=1e-6) and swings[1] < 0.97
+    # A swing next to the motion comes to what its multiplier says.
+    mode = int(np.flatnonzero((family == "axis tilt") & (np.abs(found.multiplier) < 0.97))[0])
+    integrator = Integrator(system, 0.0, 1e-11, 700.0)
+    integrator.period_s = found.period_s
+    x = to_scaled(integrator, found.state)
+    pushed = x + 1e-4 * found.vectors[:, mode].real
+    ends = [
+        carried_motion(integrator, from_scaled(integrator, begin), found.period_s)
+        for begin in (pushed, x)
+    ]
+    after = np.subtract(*(integrator.scaled(end.v, end.r) for end in ends)) / 1e-4
+    wanted = (found.multiplier[mode] * found.vectors[:, mode]).real
+    assert np.linalg.norm(after - wanted) < 1e-3 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("eccentricity", [0.01, 0.05])
+def test_reels_hold_a_star_that_turns_with_its_ellipse(eccentricity):
+    system = core.ring(damping_n_s_per_m=0.0, eccentricity=eccentricity, **LAW)
+    found = core.compute_floquet(system, -3.0, certify=False)
+    assert found.verdict == "asymptotically stable" and found.closure_residual < 1e-9
+    circle = core.compute_floquet(STAR, -3.0, certify=False)
+    slowest, per_turn = (
+        np.max(np.abs(one.multiplier[np.array(one.family) == "shape"])) for one in (found, circle)
+    )
+    # Three turns of the circle are one orbit.
+    assert slowest == pytest.approx(per_turn**3, rel=10.0 * eccentricity)

@@ -213,6 +213,21 @@ def test_spikes_of_tension_are_cut_and_counted_where_they_would_flatten_the_rest
     assert title == ("3 spikes beyond ±6 N cut (triangles), the highest 10,000 N" if spikes else "")
 
 
+def test_rest_lengths_are_drawn_and_their_work_is_told_where_reels_move():
+    turns, lengths = np.linspace(0, 2, 5), np.full((5, 2), 1e4)
+    moved = lengths + np.linspace(0.0, 3.0, 5)[:, None] * [0.0, 1.0]
+    ends = ["length [m]", "tension [N]"]
+    for rests_m, panels in ((None, 2), (lengths, 2), (moved, 3)):
+        figure = plots.tethers(turns, lengths, lengths, ["a", "b"], rests_m=rests_m)
+        assert [axes.get_ylabel() for axes in figure.axes][:: panels - 1] == ends
+        assert len(figure.axes) == panels
+        title = plots.balance(turns, np.arange(5.0), lengths, rests_m=rests_m).axes[1].get_title
+        assert ("to which reels have done work" in title(loc="left")) == (rests_m is moved)
+    rests = figure.axes[1]
+    assert rests.get_ylabel() == "rest length [m]"
+    np.testing.assert_array_equal(rests.lines[1].get_ydata(), moved[:, 1])
+
+
 def test_a_legend_beside_many_curves_names_some_and_counts_the_others():
     names = [f"tether_{i}" for i in range(50)]
     values = np.ones((2, 50))

@@ -17,10 +17,10 @@ from tss_ros.bags.recording import Recording, damage_in_words, read_bag
 from tss_ros.bags.records import one_line
 from tss_ros.command_line import Parser, say, show_progress, why_not_written
 from tss_ros.core import TssError, in_words
+from tss_ros.core.model.elements import why_not_autonomous
 from tss_ros.core.model.feedback import acting_thrusts
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
 from tss_ros.core.model.laws.orbit import ELEMENTS
-from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.model.reel_law import acting_reel_laws
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words

@@ -183,13 +183,13 @@ class SampledMotion(Presented):
         if figure == "trajectories":
             parts = of.tether_ends, of.bead_name, of.is_satellite
             return plots.trajectories(self.position_m, *parts, law, self.turns, self.spins_about)
-        turns, turn = self.turns, turn_in_words(self.spin_rate_ratio)
+        turns, about = self.turns, (law, turn_in_words(self.spin_rate_ratio), self.rests_m)
         if figure == "tethers":
-            return plots.tethers(turns, self.length_m, self.tension_n, of.tether_name, law, turn)
+            return plots.tethers(turns, self.length_m, self.tension_n, of.tether_name, *about)
         if figure == "balance":
-            return plots.balance(turns, self.energy_j, self.centre_of_mass_m, law, turn)
-        from_centre, rests_m = self.deviation_from_centre, self.rests_m
-        return plots.deviation(turns, self.deviation, of.bead_name, from_centre, law, turn, rests_m)
+            return plots.balance(turns, self.energy_j, self.centre_of_mass_m, *about)
+        from_centre = self.deviation_from_centre
+        return plots.deviation(turns, self.deviation, of.bead_name, from_centre, *about)
 
     def _headline(self):
         described, turn = self._described, turn_in_words(self.spin_rate_ratio)

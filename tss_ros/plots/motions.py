@@ -221,6 +221,7 @@ def tethers(
     tether_name: Sequence[str],
     law: str = "",
     turn: str = "turn",
+    rests_m: ArrayLike | None = None,
 ) -> Figure:
     """Lengths and tensions of all tether segments against turns.
 
@@ -231,6 +232,8 @@ def tethers(
         [m] and [N].
     tether_name : sequence of str (m)
     law, turn : str
+    rests_m : array (k, m), optional
+        [m] rest lengths; those of all segments are drawn where one changes.
 
     Returns
     -------
@@ -238,12 +241,19 @@ def tethers(
         Spikes of tension that would flatten all else are cut, marked at the edge and counted.
     """
     tension_n = np.asarray(tension_n, dtype=float)
-    panels = (("length [m]", length_m), ("tension [N]", tension_n))
+    panels = [("length [m]", length_m), ("tension [N]", tension_n)]
+    if _reels_move(rests_m):
+        panels.insert(1, ("rest length [m]", rests_m))
     figure = _panels(turns, panels, tether_name, law, turn)
     limit_n = tension_limit(tension_n)
     if np.isfinite(limit_n):
-        _cut_spikes(figure.axes[1], np.asarray(turns), tension_n, limit_n)
+        _cut_spikes(figure.axes[len(panels) - 1], np.asarray(turns), tension_n, limit_n)
     return figure
+
+
+def _reels_move(rests_m):
+    """Whether a rest length (k, m) changes."""
+    return rests_m is not None and bool(np.any(np.ptp(np.asarray(rests_m), axis=0) > 0.0))
 
 
 def _cut_spikes(axes, turns, tension_n, limit_n):
@@ -288,6 +298,7 @@ def balance(
     centre_of_mass_m: ArrayLike,
     law: str = "",
     turn: str = "turn",
+    rests_m: ArrayLike | None = None,
 ) -> Figure:
     """Energy and centre of mass in the orbit frame against turns.
 
@@ -297,6 +308,8 @@ def balance(
         [-] and [J].
     centre_of_mass_m : array (k, 3)
     law, turn : str
+    rests_m : array (k, m), optional
+        [m] rest lengths: where one changes, a reel does work.
 
     Returns
     -------
@@ -313,7 +326,7 @@ def balance(
         (
             f"The centre of mass moves by {moved_m:.3g} m along an axis",
             f"The energy in the orbit frame {'falls' if change_j < 0 else 'rises'}"
-            f" by {abs(change_j):.3g} J",
+            f" by {abs(change_j):.3g} J{', to which reels have done work' * _reels_move(rests_m)}",
         ),
     ):
         axes.set_title(words, loc="left", color=INK, fontsize="medium")

@@ -118,9 +118,7 @@ class ReelLaw:
 
     def _steady_n(self, setup):
         """Steady tension [N] next to each reel as the run begins."""
-        length_m, spin = setup.reels.length_m, setup.system.spin_rate_rad_s(setup.spin_rate_ratio)
-        if not (setup.system.autonomous and setup.system.turning_rad_s(spin)):
-            return setup.tension_n[self._next_to_reels(np.array(length_m))].tolist()
+        length_m = setup.reels.length_m
         out, _ = deployed_system(setup.system, dict(zip(reel_names(setup.system), length_m)))
         return reel_tension_n(out, setup.spin_rate_ratio).tolist()
 

@@ -23,7 +23,7 @@ from tss_ros.core import (
     State,
     TssError,
 )
-from tss_ros.core.model.orbits import why_not_autonomous
+from tss_ros.core.model.elements import why_not_autonomous
 from tss_ros.core.model.parameters import SPIN_RATE_RATIO
 from tss_ros.core.stability.confirmation import turns_that_tell
 from tss_ros.scenarios import scenario

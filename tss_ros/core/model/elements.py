@@ -1,4 +1,4 @@
-"""Elements of an orbit: where they put its axes, and what a state says of them."""
+"""Elements of an orbit: their axes, those of a state, and whether forces depend on time there."""
 
 from __future__ import annotations
 
@@ -120,3 +120,28 @@ def on_mean_circle(system: System, eccentricity: float = 0.0) -> System:
         orbit_altitude_m=max(axis * (1.0 - eccentricity) - RADIUS_EARTH_M, 0.0),
         law_parameters={**values, "eccentricity": eccentricity},
     )
+
+
+def why_not_autonomous(system: System) -> str:
+    """Why forces in the orbit frame depend on time, in words with numbers; "" if they do not."""
+    if system.autonomous:
+        return ""
+    values = system.law_parameters
+    if values["eccentricity"]:
+        return f"the orbit is an ellipse of eccentricity {values['eccentricity']:g}"
+    if stars := [law.name for law in system.acting_laws if law.feels_stars]:
+        return f"{stars[0]} acts, whose direction turns in the orbit frame"
+    pole = next(law.name for law in system.acting_laws if law.feels_pole)
+    return f"{pole} acts on an orbit that is inclined by {values['inclination_deg']:g} degrees"
+
+
+def require_autonomous(system: System, asked: str) -> None:
+    """Refuse what is only known where forces in the orbit frame do not depend on time.
+
+    Raises
+    ------
+    TssError
+        With what was asked, and why it cannot be answered.
+    """
+    if reason := why_not_autonomous(system):
+        raise TssError(f"{asked} needs forces that rest in the orbit frame, but {reason}")

@@ -14,9 +14,9 @@ import numpy as np
 from tss_ros.core.errors import NoSteadyState
 from tss_ros.core.model import forces
 from tss_ros.core.model.balance import BALANCED, Balance
+from tss_ros.core.model.elements import why_not_autonomous
 from tss_ros.core.model.frames import Z_AXIS, turn_about
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import why_not_autonomous
 from tss_ros.core.model.system import System
 
 #: Largest distance of a bead from where the layout has it, over the layout's radius.

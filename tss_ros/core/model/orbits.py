@@ -184,15 +184,21 @@ class ReferenceOrbit:
     # -- between the frame that turns evenly and the orbit frame ----------------------------------
 
     def into_even_frame(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
-        """Velocities (..., n, 3) at time 0 in the frame that turns at Omega about z.
+        """Velocities (..., rows, 3) at time 0 in the frame that turns at Omega about z.
 
-        Of velocities and positions in the orbit frame; positions are the same in both.
+        Of velocities and positions in the orbit frame; positions are the same in both. Rest
+        lengths, as `KernelArrays` has them behind the n beads, are the same in every frame.
         """
-        return v + np.cross(self._faster, r)
+        return v + self._carried(r)
 
     def from_even_frame(self, v: np.ndarray, r: np.ndarray) -> np.ndarray:
         """The inverse of `into_even_frame`."""
-        return v - np.cross(self._faster, r)
+        return v - self._carried(r)
+
+    def _carried(self, r):
+        beads, velocity = r[..., : self.system.n, :], np.zeros_like(r)
+        velocity[..., : self.system.n, :] = np.cross(self._faster, beads)
+        return velocity
 
     @cached_property
     def _faster(self):
@@ -202,18 +208,22 @@ class ReferenceOrbit:
     def out_of_even_frame(
         self, time_s: np.ndarray, v: np.ndarray, r: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Velocities and positions (k, n, 3) in the orbit frame, at each time (k,) [s].
+        """Velocities and positions (k, rows, 3) in the orbit frame, at each time (k,) [s].
 
         Of those in the frame that turns at Omega about z and is the orbit frame at time 0.
         """
         axes, turning = self.frame(time_s)
+        moved, n = (np.array(v), np.array(r)), self.system.n
+        v, r = v[:, :n], r[:, :n]
         fixed_v, fixed_r = np.empty_like(v), np.empty_like(r)
         for k, time in enumerate(time_s):
             turn = turn_about(Z_AXIS, self.rate_rad_s * time)
             fixed_r[k] = r[k] @ turn.T
             fixed_v[k] = (v[k] + rigid_velocity(r[k], self.rate_rad_s)) @ turn.T
         fixed_v -= np.cross(turning[:, None], fixed_r)
-        return tuple(np.einsum("kij,knj->kni", axes, x) for x in (fixed_v, fixed_r))
+        for rows, x in zip(moved, (fixed_v, fixed_r)):
+            rows[:, :n] = np.einsum("kij,knj->kni", axes, x)
+        return moved
 
     def relative_acceleration(
         self,
@@ -230,8 +240,8 @@ class ReferenceOrbit:
         time_s : float
         taut : ndarray, shape (m,), bool
             Which tethers exert a force.
-        v, r : ndarray, shape (n, 3)
-            Velocities [m/s] and positions [m] in the orbit frame.
+        v, r : ndarray, shape (rows, 3)
+            Velocities [m/s] and positions [m] in the orbit frame, and what follows the beads.
         arrays : KernelArrays, optional
             With what else acts, for a frame that turns evenly with Omega.
         """
@@ -239,15 +249,17 @@ class ReferenceOrbit:
         axes, turning = self.frame(time_s + step * np.arange(3.0))
         axes, omega = axes[0], turning[0]
         faster = (4.0 * turning[1] - 3.0 * omega - turning[2]) / (2.0 * step)
-        fixed_r, fixed_v = r @ axes, v @ axes
+        fixed_r, fixed_v = r[: self.system.n] @ axes, v[: self.system.n] @ axes
         rate = self.rate_rad_s
         turn = turn_about(Z_AXIS, rate * time_s)
         even_r = fixed_r @ turn
         even_v = (fixed_v + np.cross(omega, fixed_r)) @ turn - rigid_velocity(even_r, rate)
+        rows_v, rows_r = (np.append(x, y[len(x) :], 0) for x, y in ((even_v, v), (even_r, r)))
         arrays, a = arrays or self.arrays(0.0), np.empty_like(r)
         if not self.repeats:
             arrays = self.with_table(arrays, time_s, time_s)
-        forces.acceleration(arrays, taut, time_s, even_v, even_r, a)
+        forces.acceleration(arrays, taut, time_s, rows_v, rows_r, a)
+        a = a[: self.system.n]
         a += rigid_velocity(2.0 * even_v + rigid_velocity(even_r, rate), rate)
         a = a @ turn.T - np.cross(faster, fixed_r)
         return (a - np.cross(omega, 2.0 * fixed_v + np.cross(omega, fixed_r))) @ axes.T
@@ -373,28 +385,3 @@ def reference_orbit(system: System) -> ReferenceOrbit:
     orbit = ReferenceOrbit(system)
     _latest[:] = [(system, orbit)]
     return orbit
-
-
-def why_not_autonomous(system: System) -> str:
-    """Why forces in the orbit frame depend on time, in words with numbers; "" if they do not."""
-    if system.autonomous:
-        return ""
-    values = system.law_parameters
-    if values["eccentricity"]:
-        return f"the orbit is an ellipse of eccentricity {values['eccentricity']:g}"
-    if stars := [law.name for law in system.acting_laws if law.feels_stars]:
-        return f"{stars[0]} acts, whose direction turns in the orbit frame"
-    pole = next(law.name for law in system.acting_laws if law.feels_pole)
-    return f"{pole} acts on an orbit that is inclined by {values['inclination_deg']:g} degrees"
-
-
-def require_autonomous(system: System, asked: str) -> None:
-    """Refuse what is only known where forces in the orbit frame do not depend on time.
-
-    Raises
-    ------
-    TssError
-        With what was asked, and why it cannot be answered.
-    """
-    if reason := why_not_autonomous(system):
-        raise TssError(f"{asked} needs forces that rest in the orbit frame, but {reason}")

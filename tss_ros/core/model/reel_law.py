@@ -9,11 +9,12 @@ import numpy as np
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.configurations import averaged_state
 from tss_ros.core.model.contract import ReelLaw
+from tss_ros.core.model.elements import on_mean_circle
+from tss_ros.core.model.equilibria import equilibrium
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.kernel_arrays import AIM, ROW, KernelArrays
 from tss_ros.core.model.laws import REEL_LAWS
 from tss_ros.core.model.laws.reel import REEL_MASS, REEL_TENSION
-from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.reels import reels
 from tss_ros.core.model.system import State, System
 
@@ -49,6 +50,8 @@ def with_fixed_reels(system: System) -> System:
 def reel_tension_n(system: System, spin_rate_ratio: float) -> np.ndarray:
     """T_0 [N] of each reel's law, shape (p,).
 
+    On an orbit that is no circle the steady tension is that of the circle with its mean motion.
+
     Raises
     ------
     NoSteadyState
@@ -57,8 +60,13 @@ def reel_tension_n(system: System, spin_rate_ratio: float) -> np.ndarray:
     given, moving = system.law_parameters[REEL_TENSION.name], reels_that_yield(system)
     if given:
         return np.full(moving.size, given)
-    state = averaged_state(system, spin_rate_ratio)
-    return tether_state(system, state.position_m, state.velocity_m_s)[1][moving]
+    circle = system if system.autonomous else on_mean_circle(system)
+    if spin_rate_ratio:
+        place = averaged_state(circle, spin_rate_ratio).position_m
+    else:
+        place = equilibrium(circle)
+    # Shapes of both kinds are rigid: no tether has a rate of its own.
+    return tether_state(system, place, np.zeros_like(place))[1][moving]
 
 
 def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> KernelArrays:
@@ -69,25 +77,16 @@ def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> 
     arrays : KernelArrays
     system : System
     spin_rate_rad_s : float
-        omega [rad/s] at whose steady tension they pay out nothing.
+        omega [rad/s] at whose steady tension they pay out nothing; 0 for a formation that hangs.
 
     Raises
     ------
-    TssError
-        If the formation does not spin about the orbit normal, or its orbit is no circle.
     NoSteadyState
         If there is no steady shape to tell the tension.
     """
     moving = reels_that_yield(system)
     if not moving.size:
         return arrays
-    require_autonomous(system, f"a reel that follows tension ({what_yields(system)})")
-    if not system.turning_rad_s(spin_rate_rad_s):
-        raise TssError(
-            f"reels follow tension ({what_yields(system)}) where a formation spins about the orbit"
-            f" normal, but spin_rate_ratio is {spin_rate_rad_s / system.orbit_rate_rad_s:g} and"
-            f" spin_axis {np.array2string(system.spin_axis, precision=6, separator=', ')}"
-        )
     mass, rows = system.law_parameters[REEL_MASS.name], moving.size
     reel = np.zeros((system.m, 6))
     reel[:, 0], reel[:, ROW] = system.rest_length_m, -1.0

@@ -8,10 +8,11 @@ import math
 import numpy as np
 
 from tss_ros.core.errors import TssError
+from tss_ros.core.model.elements import why_not_autonomous
 from tss_ros.core.model.feedback import analysed, damping_time_s, follows_laws, with_feedback
 from tss_ros.core.model.forces import tether_state
 from tss_ros.core.model.kernel_arrays import kernel_arrays
-from tss_ros.core.model.orbits import reference_orbit, why_not_autonomous
+from tss_ros.core.model.orbits import reference_orbit
 from tss_ros.core.model.reel_law import rests_in_rows
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion import integrate, taylor_motion
@@ -221,10 +222,8 @@ class Integrator:
         states = states[:, :, : self.system.n]
         end = Samples(np.array([float(stop)]), states[:, 0], states[:, 1])
         if self.orbit:
-            moved = self.orbit.out_of_even_frame(
-                end.times, *(x.reshape(1, -1, 3) for x in (end.v, end.r))
-            )
-            end.v[:], end.r[:] = (x.reshape(end.v.shape) for x in moved)
+            times = np.full(len(end.v), end.times[0])
+            end.v[:], end.r[:] = self.orbit.out_of_even_frame(times, end.v, end.r)
         return end
 
     def advance(

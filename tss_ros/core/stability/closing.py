@@ -13,7 +13,7 @@ import numpy as np
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState, TssError
 from tss_ros.core.model.axes import spin_axis_of
-from tss_ros.core.model.orbits import require_autonomous
+from tss_ros.core.model.elements import require_autonomous
 from tss_ros.core.model.symmetry import Symmetry
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements

@@ -10,7 +10,7 @@ import numpy as np
 
 from tss_ros.core.arguments import checked, finite
 from tss_ros.core.errors import TssError
-from tss_ros.core.model.orbits import require_autonomous
+from tss_ros.core.model.elements import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.presentation import Presented
 from tss_ros.core.stability.floquet import compute_floquet

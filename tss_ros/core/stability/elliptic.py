@@ -15,13 +15,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tss_ros.core.errors import IntegrationError, NoSteadyState
-from tss_ros.core.model.orbits import require_autonomous, why_not_autonomous
+from tss_ros.core.model.elements import require_autonomous, why_not_autonomous
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.acceptance import look
 from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.judge import SMALLEST_DRIFT, drift_radius, judge_measured
-from tss_ros.core.stability.modes import FAMILIES, FLAT, multipliers, stays_in_plane
+from tss_ros.core.stability.modes import FAMILIES, FLAT, multipliers, of_beads, stays_in_plane
 from tss_ros.core.stability.orbit_motions import ClosedMotion, motion_over_orbits, start_on_orbit
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult, asked
@@ -144,7 +144,7 @@ def _judged(integrator, found, question, turns, missed_by, certify, cancelled):
     system, start = integrator.system, from_scaled(integrator, found.x)
     turn = integrate_turn(integrator, start, cancelled)
     planar = stays_in_plane(system, start)
-    multiplier, vectors = multipliers(turn.matrix, planar)
+    multiplier, vectors = multipliers(turn.matrix, planar, integrator.real)
     family = families_over_orbits(integrator, start, turn.matrix, multiplier, vectors)
     error = ERROR * integrator.rtol * float(np.linalg.norm(turn.matrix, 2))
     radius = drift_radius(found.residual, error=error)
@@ -194,7 +194,7 @@ def families_over_orbits(
     multiplier: np.ndarray,
     vectors: np.ndarray,
 ) -> np.ndarray:
-    """Family (6n,) of every multiplier.
+    """Family of every multiplier; those that rest lengths add count as shape.
 
     The centre of mass has all its six at 1, where the spin's are too, so that vectors there are any
     mixture. The matrix is seen in two parts, the centre and the beads against it, which do not mix
@@ -205,17 +205,22 @@ def families_over_orbits(
     system = integrator.system
     n, planar = system.n, stays_in_plane(system, state)
     root = np.sqrt(system.mass_kg / system.mass_kg.sum())
-    apart = np.linalg.qr(np.column_stack([root, np.eye(n)[:, : n - 1]]))[0][:, 1:]
-    weight = np.tile(np.repeat(root, 3), 2)
+    rows = np.append(root, np.ones(integrator.rows - n))
+    centre = np.append(root, np.zeros(integrator.rows - n))
+    others = np.delete(np.eye(rows.size), n - 1, axis=1)
+    apart = np.linalg.qr(np.column_stack([centre, others]))[0][:, 1:]
+    weight = np.tile(np.repeat(rows, 3), 2)
     weighted = weight[:, None] * matrix / weight
     value, own = [], []
-    for basis in (root[:, None], apart):
+    every, coordinates = np.ones(6, dtype=bool), _without_one(integrator)
+    for basis, real in ((centre[:, None], every), (apart, coordinates)):
         basis = np.kron(np.eye(2), np.kron(basis, np.eye(3)))
-        part = multipliers(basis.T @ weighted @ basis, planar)
+        part = multipliers(basis.T @ weighted @ basis, planar, real)
         value.append(part[0])
         own.append(basis @ part[1])
+    of_formation = of_beads(integrator, own[1]).reshape(6 * n, -1)
     names = np.concatenate([np.full(6, FAMILIES[0], dtype=object),
-                            _rigid_families(integrator, state, own[1], planar)])  # fmt: skip
+                            _rigid_families(integrator, state, of_formation, planar)])  # fmt: skip
     known, level = np.concatenate(value), _out_of_plane(np.concatenate(own, axis=1))
     distance = np.abs(multiplier[:, None] - known)
     if planar:
@@ -224,6 +229,11 @@ def families_over_orbits(
     family = np.empty(multiplier.size, dtype=object)
     family[rows] = names[columns]
     return family
+
+
+def _without_one(integrator):
+    """`Integrator.real` of all rows but one bead's."""
+    return integrator.real.reshape(2, -1, 3)[:, 1:].ravel()
 
 
 def _out_of_plane(vectors):

@@ -18,13 +18,20 @@ from tss_ros.core.model.configurations import EQUILIBRIUM, InitialState
 from tss_ros.core.model.equilibria import equilibrium, imbalance, laws_at_rest
 from tss_ros.core.model.feedback import thrust
 from tss_ros.core.model.forces import tether_state
+from tss_ros.core.model.laws.reel import REEL_TENSION
+from tss_ros.core.model.reel_law import (
+    reel_tension_n,
+    reels_that_yield,
+    rests_in_rows,
+    rows_of,
+)
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.frozen import frozen_jacobian
 from tss_ros.core.stability.judge import judge_exponents
 from tss_ros.core.stability.modes import label_hanging, multipliers, stays_in_plane
-from tss_ros.core.stability.proofs import bead_trace
+from tss_ros.core.stability.proofs import bead_trace, tether_rates
 from tss_ros.core.stability.result import FloquetResult, asked
 from tss_ros.core.stability.shooting import closure
 
@@ -49,7 +56,7 @@ def hanging_floquet(
     resting, left_out = laws_at_rest(system)
     try:
         start = _start(resting, state, correct and method != "frozen")
-        _require_no_thrust(resting, start)
+        _require_rest(resting, start)
     except NoSteadyState as error:
         return FloquetResult(
             **asked(method, system, 0.0), message=str(error),
@@ -104,16 +111,33 @@ def _start(system, state, correct):
             f"the given state is no equilibrium of the orbit frame: {system.bead_name[bead]} is"
             f" left out of balance by {force:.3g} N, and beads move at up to {speed:.3g} m/s"
         )
+    rests = rests_in_rows(system, *rows_of(system, state))
+    if rests[1].any() or not np.allclose(rests[0], system.rest_length_m, rtol=1e-12, atol=0.0):
+        raise NoSteadyState(
+            "the given state is no equilibrium of the orbit frame: its reels have paid out up to"
+            f" {np.max(np.abs(rests[0] - system.rest_length_m)):.3g} m, at up to"
+            f" {np.max(np.abs(rests[1])):.3g} m/s"
+        )
     return InitialState(state.position_m, state.velocity_m_s, "the given state, an equilibrium")
 
 
-def _require_no_thrust(system, start):
-    """Feedback has to leave an equilibrium alone, which is found without it."""
-    force = float(np.abs(thrust(system, 0.0, start)).max())
+def _require_rest(system, start):
+    """Feedback and reels have to leave an equilibrium alone, which is found without them."""
     scale = np.max(system.mass_kg) * system.orbit_rate_rad_s**2 * np.max(np.abs(start.position_m))
+    force = float(np.abs(thrust(system, 0.0, start)).max())
     if force > BALANCED * scale:
         words = f"feedback thrusts {force:.3g} N where the formation would hang at rest"
         raise NoSteadyState(words)
+    if (moving := reels_that_yield(system)).size:
+        tension = tether_state(system, start.position_m, start.velocity_m_s)[1][moving]
+        aim = reel_tension_n(system, 0.0)
+        worst = int(np.argmax(np.abs(tension - aim)))
+        if abs(tension[worst] - aim[worst]) > BALANCED * scale:
+            raise NoSteadyState(
+                f"the reel of {system.tether_name[moving[worst]]} holds"
+                f" {REEL_TENSION.name} {aim[worst]:.6g} N, where it would hang at rest with"
+                f" {tension[worst]:.6g} N; 0 is that tension"
+            )
 
 
 def exponents(
@@ -131,16 +155,18 @@ def exponents(
 
     Returns
     -------
-    exponent : ndarray, shape (6n,), complex
-    vectors : ndarray, shape (6n, 6n), complex
+    exponent : ndarray, shape (k,), complex
+        6n, and two for each rest length that is a state.
+    vectors : ndarray, shape (6 rows, k), complex
         Columns of norm 1, scaled.
     error : float
         [1/s] about what rounding makes of an exponent: it grows with the fastest one.
     """
     settings = integrator.settings
     matrix = frozen_jacobian(system, state, settings.speed, settings.length)
-    exponent, vectors = multipliers(matrix, stays_in_plane(system, state))
-    precise, rounding = _refined(matrix, exponent, vectors)
+    exponent, vectors = multipliers(matrix, stays_in_plane(system, state), integrator.real)
+    real = integrator.real
+    precise, rounding = _refined(matrix[np.ix_(real, real)], exponent, vectors[real])
     return precise, vectors, len(matrix) * rounding * float(np.max(np.abs(exponent)))
 
 
@@ -181,16 +207,13 @@ def _proofs(integrator, start, exponent, vectors, cancelled):
     cycles = np.max(np.abs(exponent.imag) * alive) / (2.0 * math.pi)
     part = min(1.0, MOST_CYCLES / cycles)
     _, matrix = carry_displacements(
-        integrator, integrator.begin(start), np.eye(6 * system.n), part * period, cancelled
+        integrator, integrator.begin(start), np.eye(6 * integrator.rows), part * period, cancelled
     )
     with np.errstate(under="ignore"):
         after = np.exp(exponent * part * period)
     missed = np.linalg.norm(matrix @ vectors - vectors * after, axis=0)
-    ends, inverse = system.tether_ends, 1.0 / system.mass_kg
     taut = tether_state(system, start.position_m, start.velocity_m_s)[2] | system.bilateral
-    damping = system.damping_n_s_per_m * taut
-    trace = -np.sum(damping * (inverse[ends[:, 0]] + inverse[ends[:, 1]]))
-    trace += bead_trace(integrator, integrator.begin(start))
+    trace = bead_trace(integrator, integrator.begin(start)) - np.sum(tether_rates(integrator)[taut])
     return {
         "segment_error": float(np.max(missed / np.maximum(np.abs(after), 1.0))),
         "liouville_error": float(abs(np.sum(exponent.real) - trace) * period),

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from tss_ros.core.arguments import checked
 from tss_ros.core.errors import TssError
 from tss_ros.core.model.axes import spin_axis_of
+from tss_ros.core.model.elements import require_autonomous
 from tss_ros.core.model.frames import turn_about
-from tss_ros.core.model.orbits import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator

@@ -147,20 +147,23 @@ def label_hanging(system: System, state: State, vectors: np.ndarray, planar: boo
     system : System
     state : State
         The equilibrium.
-    vectors : ndarray, shape (6n, 6n), complex
+    vectors : ndarray, shape (6 rows, k), complex
         Columns in scaled coordinates, velocities first.
     planar : bool
         Whether they are in the orbit plane or out of it.
 
     Returns
     -------
-    ndarray, shape (6n,), str
-        6 of the centre of mass, 6 librations (a straight chain 4), and the rest shape.
+    ndarray, shape (k,), str
+        6 of the centre of mass, 6 librations (a straight chain 4), and the rest shape, as what rest
+        lengths add.
     """
     n = system.n
     weight = np.sqrt(system.mass_kg / np.mean(system.mass_kg))[:, None]
-    halves = (vectors.reshape(2, n, 3, -1) * weight[None, :, :, None]).reshape(2, 3 * n, -1)
+    beads = vectors.reshape(2, len(vectors) // 6, 3, -1)[:, :n]
+    halves = (beads * weight[None, :, :, None]).reshape(2, 3 * n, -1)
     whole = np.sum(np.abs(halves) ** 2, axis=(0, 1))
+    whole = np.where(whole > 0.0, whole, 1.0)
     above = np.sum(np.abs(halves[:, 2::3]) ** 2, axis=(0, 1)) > 0.5 * whole
     arm = state.position_m - np.average(state.position_m, axis=0, weights=system.mass_kg)
     about = (weight * np.cross(np.eye(3)[:, None], arm)).reshape(3, -1)

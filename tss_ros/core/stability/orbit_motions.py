@@ -16,6 +16,7 @@ import numpy as np
 from tss_ros.core.errors import IntegrationError, TssError
 from tss_ros.core.model.configurations import initial_state
 from tss_ros.core.model.elements import on_mean_circle
+from tss_ros.core.model.reel_law import rows_of
 from tss_ros.core.model.system import State, System
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
@@ -61,7 +62,7 @@ class ClosedMotion:
 
     Attributes
     ----------
-    x : ndarray, shape (6n,)
+    x : ndarray, shape (6 rows,)
         Scaled start.
     drive : float
         Share of the spin that a drive gives in a turn.
@@ -87,10 +88,13 @@ class Closing:
     def __init__(self, integrator: Integrator, cancelled: Callable[[], bool] | None = None):
         self.integrator, self.cancelled = integrator, cancelled
         mass = integrator.system.mass_kg
-        mean = np.kron(np.eye(2), np.kron(mass / mass.sum(), np.eye(3)))
-        every = np.kron(np.eye(2), np.kron(np.ones((mass.size, 1)), np.eye(3)))
+        # Rest lengths that are states follow the beads and are no part of the whole formation.
+        share, bead = np.zeros((2, integrator.rows))
+        share[: mass.size], bead[: mass.size] = mass / mass.sum(), 1.0
+        mean = np.kron(np.eye(2), np.kron(share, np.eye(3)))
+        every = np.kron(np.eye(2), np.kron(bead[:, None], np.eye(3)))
         self.mean = mean
-        self.relative = np.eye(6 * mass.size) - every @ mean
+        self.relative = np.eye(6 * integrator.rows) - every @ mean
         #: Of the centre: the velocity along the orbit at the start is free.
         self.held = mean[[1, 2, 3, 4, 5]]
         self.back = mean[[3]]
@@ -122,8 +126,9 @@ class Closing:
         """The motion next to a start, as far as Newton's method leads; with a drive or without."""
         phase = np.zeros(x.size)
         if driven:  # the drive takes the place of the phase of the spin, which it leaves open
-            arm = x[x.size // 2 :].reshape(-1, 3)
-            phase[x.size // 2 :] = np.cross([0.0, 0.0, 1.0], arm).ravel()
+            arm = x.reshape(2, -1, 3)[1, : self.integrator.system.n]
+            along = phase.reshape(2, -1, 3)[1, : self.integrator.system.n]
+            along[:] = np.cross([0.0, 0.0, 1.0], arm)
             phase /= np.linalg.norm(phase)
         left, kick = self.left(x, drive)
         residual = np.linalg.norm(left)
@@ -217,8 +222,8 @@ def damped(system: System) -> System:
 def _followed(integrator, start, cancelled):
     """The motion of the damped formation, followed from the circle in the eccentricity."""
     system, target = integrator.system, integrator.system.law_parameters["eccentricity"]
-    before, x, e = None, np.zeros(6 * system.n), 0.0
-    x[x.size // 2 :] = start.position_m.ravel() / integrator.settings.length
+    _, r = rows_of(system, start)
+    before, x, e = None, integrator.scaled(np.zeros_like(r), r), 0.0
     step, drive = FIRST_STEP, 0.0
     while e < target:
         trial = min(e + step, target)

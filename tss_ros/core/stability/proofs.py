@@ -105,7 +105,7 @@ def liouville_error(turn: Turn, cancelled: Callable[[], bool] | None = None) -> 
     integrator = turn.integrator
     period = integrator.period_s
     reels = bead_trace(integrator, integrator.begin(turn.start))
-    rates = np.append(_tether_rates(integrator), abs(reels))
+    rates = np.append(tether_rates(integrator), abs(reels))
     # The fastest mode may decay a little more than once in a step; that is what limits the length.
     width = min(period / SPREAD, DECAY / max(np.sum(rates), 1e-300))
     half = 3 * integrator.rows
@@ -128,8 +128,8 @@ def _feel_velocity(system):
     return follows_laws(system) or any(law.by_velocity for law in system.acting_laws)
 
 
-def _tether_rates(integrator):
-    """C (1/m_i + 1/m_j) of every tether, with 1/m of the reel it has, shape (m,)."""
+def tether_rates(integrator: Integrator) -> np.ndarray:
+    """C (1/m_i + 1/m_j) of every tether [1/s], with 1/m of the reel it has, shape (m,)."""
     arrays = integrator.arrays
     weight = arrays.inv_mass[arrays.ends].sum(axis=1)
     if arrays.reel.size:
@@ -152,7 +152,7 @@ def bead_trace(integrator: Integrator, motion: IntegratorState) -> float:
     if integrator.rows > system.n:
         # What is out of a tether tells its damping.
         taut = motion.taut
-        counted = float(np.sum(_tether_rates(integrator)[taut]))
+        counted = float(np.sum(tether_rates(integrator)[taut]))
     jacobian(integrator.arrays, symbolic.pair, taut, *state, by_r, by_v)
     return float(np.trace(by_v[: integrator.rows].sum(axis=0))) + counted
 
