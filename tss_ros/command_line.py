@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
@@ -120,8 +120,29 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *, prog: str, **options: Any) -> None:
         super().__init__(prog=SHOWN_AS.get(prog, prog), **options)
-        self._completing, self._outputs = False, []
+        self._completing, self._outputs, self._parameters = False, [], ()
         self.add_argument("--version", action=_ShowVersion, dest=argparse.SUPPRESS)
+
+    def add_override(
+        self, names: Sequence[str], kind: Callable[[str], Any], text: str, group: Any = None
+    ) -> None:
+        """Add --override, which takes `NAME=VALUE` of parameters, as often as one likes.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of the parameters: one that is given as an option is answered with how to write it.
+        kind : callable
+            Makes of a word what is kept.
+        text : str
+            What --help says.
+        group : argument group, optional
+        """
+        self._parameters = names
+        (group or self).add_argument(
+            "--override", nargs="+", action="extend", default=[], type=kind, metavar="NAME=VALUE",
+            help=text,
+        )  # fmt: skip
 
     def add_output(
         self, flag: str, endings: Sequence[str] = (), group: Any = None, **options: Any
@@ -193,6 +214,9 @@ class Parser(argparse.ArgumentParser):
         advice : str
             What else to say.
         """
+        name = re.split(":?=", word)[0].lstrip("-").replace("-", "_")
+        if name in self._parameters:
+            self.error(f"{word!r:.80} is a parameter: --override {name}=VALUE")
         options = [option for action in self._actions for option in action.option_strings]
         near = difflib.get_close_matches(re.split(":?=", word)[0], [*options, *others], 1)
         meant = f"; did you mean {near[0]!r}?" if near else ""

@@ -106,6 +106,7 @@ def test_what_was_simulated_is_kept_when_it_ends_early(tmp_path, monkeypatch):
         (["--turns", "1", "--publish-period-s", "0"], "publish_period_s is 0.0; allowed"),
         (["--turns", "1", "--override", "mass=3,"], "'mass=3,' must be NAME=NUMBER"),
         (["--turn", "1", "--outputs", "x"], "did you mean '--output'"),
+        (["--turns", "1", "--j2=0"], "'--j2=0' is a parameter: --override j2=VALUE"),
     ],
 )
 def test_wrong_words_are_refused(tmp_path, capsys, words, reason):
@@ -119,7 +120,8 @@ def test_wrong_words_are_refused(tmp_path, capsys, words, reason):
     ("words", "reason"),
     [
         (["three_stars", "--turns", "1"], "three_star"),
-        (["--turns", "1", "--override", "satellite=4"], "satellites"),
+        (["--turns", "1", "--override", "satellite=4"], "did you mean 'satellites'? Allowed are"),
+        (["--turns", "1", "--override", "reel_sample_s=4"], "it is a key of scenario files"),
         (["--turns", "1e6"], "allowed: at most 851237"),
     ],
 )

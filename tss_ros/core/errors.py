@@ -28,6 +28,13 @@ def near_match(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {found[0]!r}?" if found else ""
 
 
+def allowed_words(word: str, known: Iterable[str]) -> str:
+    """What follows the words on one that is not known: the nearest of many known ones first."""
+    known = list(known)
+    allowed, near = ", ".join(known), near_match(word, known)
+    return f"{near} Allowed are {allowed}" if near else f"; allowed are {allowed}"
+
+
 def index_of(what: str, name: str, names: Sequence[str]) -> int:
     """Index of a name.
 

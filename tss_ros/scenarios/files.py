@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import yaml
 
 from tss_ros.core import TssError
-from tss_ros.core.errors import near_match
+from tss_ros.core.errors import allowed_words
 
 #: Bounds of a YAML text: bytes, levels of lists and mappings, values with aliases written out, and
 #: digits of a number.
@@ -162,9 +162,7 @@ def check_keys(
     known = sorted({*needed, *optional})
     for key in entry:
         if key not in known:
-            raise TssError(
-                f"{where} has {key!r}; allowed are {', '.join(known)}{near_match(key, known)}"
-            )
+            raise TssError(f"{where} has {key!r}{allowed_words(key, known)}")
     for key in sorted(needed):
         if key not in entry:
             raise TssError(f"{where} lacks {key}")

@@ -46,7 +46,7 @@ from tss_ros.core import (
     formation,
 )
 from tss_ros.core.arguments import finite
-from tss_ros.core.errors import near_match
+from tss_ros.core.errors import allowed_words, near_match
 from tss_ros.core.model.configurations import InitialState
 from tss_ros.core.model.reel_law import with_fixed_reels
 from tss_ros.scenarios import files, orbits
@@ -59,6 +59,8 @@ from tss_ros.scenarios.reels import Reels, read_reels
 _FOLDER = Path(__file__).parent
 _ABOUT = ("description", "formation", "failures")
 _PARAMETERS, _GRAPH_PARAMETERS = names(SCENARIO), names(GRAPH)
+#: What scenario files may say besides parameters.
+_KEYS = (*_ABOUT, *orbits.KEYS, *REELS)
 _BODY = {"name", "mass_kg", "position_m"}
 _BODY_OPTIONAL = {"velocity_m_s"}
 _TETHER = {"between", "length_m", "axial_stiffness_n", "damping_n_s_per_m"}
@@ -133,9 +135,10 @@ class Scenario:
         allowed = _PARAMETERS if self.formation != "graph" else _GRAPH_PARAMETERS
         for name in values:
             if name not in allowed:
+                of_files = ": it is a key of scenario files" * (name in _KEYS)
                 raise TssError(
-                    f"{name} is not a parameter of scenario {self.name!r}; it has"
-                    f" {', '.join(allowed)}{near_match(name, allowed)}"
+                    f"{name} is not a parameter of scenario {self.name!r}{of_files}"
+                    f"{allowed_words(name, allowed)}"
                 )
         ratio = finite("spin_rate_ratio", values.pop("spin_rate_ratio"))
         orbits.read_epoch(values.pop("epoch", ""))
@@ -256,9 +259,7 @@ def _parse(name, content):
     ) + (*orbits.KEYS, *REELS)
     for key in content:
         if key not in known:
-            raise TssError(
-                f"{key!r} is not known; allowed are {', '.join(known)}{near_match(key, known)}"
-            )
+            raise TssError(f"{key!r} is not known{allowed_words(key, known)}")
     if "spin_rate_ratio" not in content:
         raise TssError("spin_rate_ratio is missing")
     parameters = {key: content[key] for key in _PARAMETERS if key in content}

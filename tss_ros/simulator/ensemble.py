@@ -18,8 +18,10 @@ from tss_ros.core import Cancelled, TssError, sweep
 from tss_ros.scenarios.parameters import (
     DISTURBANCE,
     PUBLISH_PERIOD,
+    SCENARIO,
     SPIN_RATE_RATIO,
     TURNS,
+    names,
     override,
 )
 from tss_ros.simulator.straight import setup_of, simulate
@@ -279,10 +281,11 @@ def _parse(arguments):
     parser.add_argument(
         "--critical", action="store_true", help="mark the critical rates between the rates"
     )
-    parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=override, metavar="NAME=VALUE",
-        help="a parameter that differs from the scenario's, e.g. tether_law=tension_only",
-    )  # fmt: skip
+    parser.add_override(
+        names(SCENARIO),
+        override,
+        "a parameter that differs from the scenario's, e.g. tether_law=tension_only",
+    )
     work.add_options(parser, "Parquet tables and a picture")
     parser.add_argument(
         "--bags", nargs="+", default=[], metavar="WHICH",

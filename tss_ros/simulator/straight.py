@@ -30,7 +30,7 @@ from tss_ros.messages.topics import STATE_TOPICS, read_topics
 from tss_ros.messages.wrenches import TOPIC as APPLIED
 from tss_ros.messages.wrenches import applied_wrenches
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import REEL_LIMITS, RUN, TURNS, override
+from tss_ros.scenarios.parameters import REEL_LIMITS, RUN, SCENARIO, TURNS, names, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import NS, news
 from tss_ros.simulator.reel_law import ReelLaw
@@ -359,10 +359,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             f"--{parameter.name.replace('_', '-')}", type=parameter.type, metavar="NUMBER",
             required=needed, default=parameter.default, help=parameter.text + default,
         )  # fmt: skip
-    parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=override, metavar="NAME=VALUE",
-        help="a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
-    )  # fmt: skip
+    parser.add_override(
+        names(SCENARIO),
+        override,
+        "a parameter that differs from the scenario's, e.g. spin_rate_ratio=-2.9",
+    )
     parser.add_argument(
         "--commands", type=Path, metavar="BAG",
         help="let act what acted in the first run of this bag, failures included; those that the"

@@ -28,7 +28,7 @@ from tss_ros.core import TssError, in_words
 from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.ros.network import joined, stay_on_this_machine
 from tss_ros.ros.node import USER_ERRORS
-from tss_ros.scenarios.parameters import read_assignment
+from tss_ros.scenarios.parameters import SCENARIO, names, read_assignment
 from tss_ros.scenarios.starts import read_start_arrays
 
 #: A node that is not seen for so long has ended; on a busy machine discovery drops it for moments.
@@ -306,14 +306,10 @@ def _parse(arguments):
     parser.add_argument("--to", dest="last", type=float, metavar="RATE")
     parser.add_argument("--count", type=int, default=11, help="rates in the range (default 11)")
     parser.add_argument("--method", default="", help="monodromy (default) or frozen")
-    parser.add_argument(
-        "--override",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=_override,
-        metavar="NAME=VALUE",
-        help="a parameter that differs from the node's, e.g. tether_law=tension_only, "
+    parser.add_override(
+        names(SCENARIO),
+        _override,
+        "a parameter that differs from the node's, e.g. tether_law=tension_only, "
         "satellite_mass_kg=50 or =50,60,70",
     )
     parser.add_argument(

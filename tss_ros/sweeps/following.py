@@ -185,11 +185,11 @@ def _parse(arguments):
     parser.add_argument(
         "--rate", type=float, help="spin rate if another parameter is followed (the scenario's)"
     )
-    parser.add_argument(
-        "--override", nargs="+", action="extend", default=[], type=parameters.override,
-        metavar="NAME=VALUE",
-        help="a parameter that differs from the scenario's, e.g. tether_law=tension_only",
-    )  # fmt: skip
+    parser.add_override(
+        parameters.names(parameters.SCENARIO),
+        parameters.override,
+        "a parameter that differs from the scenario's, e.g. tether_law=tension_only",
+    )
     parser.add_argument(
         "--start", type=Path, metavar="FILE",
         help="begin next to this motion: position_m and velocity_m_s of each bead in YAML or JSON,"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tss_ros.core.arguments import checked, finite
-from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.errors import TssError, allowed_words, near_match
 from tss_ros.core.model.laws import LAW_PARAMETERS, PERTURBATIONS
 from tss_ros.core.model.system import System
 
@@ -44,10 +44,7 @@ def parameter_of(system: System, name: str) -> float:
         return system.orbit_altitude_m
     if name in system.law_parameters:
         return float(system.law_parameters[name])
-    raise TssError(
-        f"parameter must be one of {', '.join(PARAMETERS)}, got {name!r}"
-        f"{near_match(name, PARAMETERS)}"
-    )
+    raise TssError(f"parameter {name!r} is not known{allowed_words(name, PARAMETERS)}")
 
 
 @checked
@@ -153,8 +150,8 @@ def check_parameter(parameter: str, spin_rate_ratio: float | None) -> None:
             raise TssError(f"spin_rate_ratio is followed, so it has no fixed value;"
                            f" got {spin_rate_ratio:g}")  # fmt: skip
     elif parameter not in PARAMETERS:
-        raise TssError(f"parameter must be spin_rate_ratio or one of {', '.join(PARAMETERS)},"
-                       f" got {parameter!r}")  # fmt: skip
+        known = (SPIN_RATE_RATIO, *PARAMETERS)
+        raise TssError(f"parameter {parameter!r} is not known{allowed_words(parameter, known)}")
     elif not spin_rate_ratio:
         given = "be given" if spin_rate_ratio is None else "not be 0"
         raise TssError(f"spin_rate_ratio must {given} to follow {parameter}")

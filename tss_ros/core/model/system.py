@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from tss_ros.core.arguments import finite, numbers, unit_vector
-from tss_ros.core.errors import TssError, near_match
+from tss_ros.core.errors import TssError, allowed_words, near_match
 from tss_ros.core.model.contract import BeadLaw, TetherLaw
 from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.presentation import Presented
@@ -184,10 +184,7 @@ class System(Presented):
         values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
         for name, value in self.law_parameters.items():
             if name not in values:
-                raise TssError(
-                    f"{name!r} is no parameter; those of laws are {', '.join(values)}"
-                    f"{near_match(name, values)}"
-                )
+                raise TssError(f"{name!r} is no parameter of a law{allowed_words(name, values)}")
             values[name] = value
         foreign = {p: law for law in TETHER_LAWS for p in law.parameters if law is not self.law}
         for parameter in LAW_PARAMETERS:
