@@ -236,7 +236,7 @@ def test_followed_and_asked_motions_agree():
 @pytest.mark.parametrize(
     "arguments, options, words",
     [
-        (("mass", 1.0, 2.0), {}, "parameter must be spin_rate_ratio or one of .* got 'mass'"),
+        (("mass", 1.0, 2.0), {}, "parameter 'mass' is not known; did you mean 'satellite_mass_kg'"),
         (("spin_rate_ratio", -3.0, -3.0), {}, "interval of spin_rate_ratio must not be empty"),
         (("spin_rate_ratio", -3.0, 3.0), {}, "spin_rate_ratio must keep its sign"),
         (("damping_n_s_per_m", 1.0, 2.0), {}, "spin_rate_ratio must be given"),

@@ -312,7 +312,10 @@ def test_a_map_of_values_far_apart_has_a_tick_for_each():
     (axes,) = figure.axes
     assert axes.get_xscale() == "log"
     np.testing.assert_array_equal(axes.get_xticks(), values)
-    assert "4 of 4 motions are stable" in figure.get_suptitle()
+    assert "4 of 4 motions are asymptotically stable" in figure.get_suptitle()
+    stable[1] = "none found"
+    figure = plots.stability_map("damping", (values, -2 * np.ones(4), stable), nothing)
+    assert figure.get_suptitle().startswith("3 of 3 motions are asymptotically stable; none found")
 
 
 def test_stability_of_like_moduli_is_drawn_on_a_plain_scale():

@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import urllib.request
 from pathlib import Path
 
@@ -420,10 +421,13 @@ def test_without_a_driver_a_picture_is_refused_in_one_line(recording, tmp_path, 
     for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
         monkeypatch.setenv(name, "/nonexistent")
     monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     with pytest.raises(TssError, match="mesa-vulkan-drivers") as refused:
         review.save_picture([recording], tmp_path / "x.png", ["made up"])
     assert "\n" not in str(refused.value)
     assert capfd.readouterr().err == "" and not (tmp_path / "x.png").exists()
+    assert not list((tmp_path / "temporary").iterdir())
 
 
 @pytest.mark.parametrize(

@@ -155,9 +155,13 @@ def _map(rows, critical, parameter):
     scenarios = {row["scenario"] for row in (*rows, *critical)}
     values = [row.get(parameter) for row in (*rows, *critical)]
     by_value = len(scenarios) == 1 and all(isinstance(value, float) for value in values)
-    stable = sum(row["verdict"] == "asymptotically stable" for row in rows)
+    found = [row for row in rows if row["verdict"] != "none found"]
+    stable = sum(row["verdict"] == "asymptotically stable" for row in found)
+    words = [f"{stable} of {len(found)} motions are asymptotically stable"]
+    if len(found) < len(rows):
+        words.append(f"none found at {len(rows) - len(found)} points")
     drawn = html.figure(
-        f"{stable} of {len(rows)} motions are stable; {len(critical)} critical rates",
+        "; ".join([*words, f"{len(critical)} critical rates"]),
         parameter if by_value else "system", RATE, 520,
     )  # fmt: skip
 

@@ -261,7 +261,12 @@ def stability_map(
 def _map_in_words(verdicts, critical):
     words = []
     if len(verdicts):
-        words.append(f"{np.sum(verdicts == STABLE)} of {len(verdicts)} motions are stable")
+        found = verdicts != NONE
+        if found.any():
+            stable = np.sum(verdicts == STABLE)
+            words.append(f"{stable} of {np.sum(found)} motions are asymptotically stable")
+        if not found.all():
+            words.append(f"none found at {np.sum(~found)} of {len(verdicts)} points")
     if len(critical) == 1:
         words.append(f"the critical rate is {critical[0]:.4g}")
     elif len(critical):

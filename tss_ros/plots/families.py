@@ -20,6 +20,8 @@ LINES = {
 TAUT, SLACK = COLOURS[0], COLOURS[1]
 #: Moduli of interest: smaller ones are far inside the circle, larger ones far outside.
 SMALLEST, LARGEST = 0.3, 30.0
+#: A smaller one that decided is told by the verdict alone.
+SMALLEST_DECIDING = 0.02
 
 
 def family(followed: Family, label: str = "", law: str = "") -> Figure:
@@ -37,7 +39,8 @@ def family(followed: Family, label: str = "", law: str = "") -> Figure:
     -------
     matplotlib.figure.Figure
         Two axes with the parameter as abscissa. Solid is stable, dashed unstable; where tethers go
-        slack the line has another colour. Special points have markers by kind.
+        slack the line has another colour. Special points have markers by kind. The multiplier that
+        decided each verdict is a line of its own.
     """
     figure = Figure(figsize=(8.0, 7.0), dpi=DPI, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.3))
@@ -132,19 +135,22 @@ def _largest_moduli(followed, vertices):
 
     A special point next to points with nothing outside the circle is where the first one leaves it.
     """
-    moduli, number = [], -1
-    for vertex, special in vertices:
+    moduli, number = np.full(len(vertices), np.nan), -1
+    for k, (vertex, special) in enumerate(vertices):
         if not special:
             number += 1
-            moduli.append(max(vertex.deciding_modulus, vertex.max_modulus_nontrivial))
-            continue
-        sides = followed.points[number : number + 2]
-        value = [max(p.deciding_modulus, p.max_modulus_nontrivial) for p in sides]
-        way = abs(sides[-1].parameter - sides[0].parameter)
-        share = min(abs(vertex.parameter - sides[0].parameter) / way, 1.0) if way else 0.5
-        leaves = any(point.outside == 0 for point in sides) and vertex.family
-        moduli.append(1.0 if leaves else value[0] + share * (value[-1] - value[0]))
-    return np.array(moduli)
+            moduli[k] = max(vertex.deciding_modulus, vertex.max_modulus_nontrivial)
+        elif vertex.family and any(p.outside == 0 for p in followed.points[number : number + 2]):
+            moduli[k] = 1.0
+    value = np.array([vertex.parameter for vertex, _ in vertices])
+    known = np.flatnonzero(np.isfinite(moduli))
+    for k in np.flatnonzero(np.isnan(moduli)):
+        place = known.searchsorted(k)
+        before, after = known[place - 1], known[min(place, known.size - 1)]
+        way = abs(value[after] - value[before])
+        share = min(abs(value[k] - value[before]) / way, 1.0) if way else 0.5
+        moduli[k] = moduli[before] + share * (moduli[after] - moduli[before])
+    return moduli
 
 
 def _draw(axes, x, y, looks):
@@ -161,12 +167,22 @@ def _draw(axes, x, y, looks):
 
 
 def _moduli(axes, followed):
-    """All multipliers, thin, and the unit circle."""
+    """All multipliers, thin, the one that decided each verdict, and the unit circle."""
     axes.axhline(1.0, color=INK, linewidth=0.9, zorder=2)
-    moduli = np.abs([point.multiplier for point in followed.points])
-    value = [point.parameter for point in followed.points]
+    points = followed.points
+    moduli = np.abs([point.multiplier for point in points])
+    value = [point.parameter for point in points]
     axes.plot(value, moduli, color="0.7", linewidth=0.7, zorder=1)
-    shown = moduli[moduli >= SMALLEST]
+    decided = np.array([point.deciding_modulus for point in points])
+    for _, part in itertools.groupby(
+        range(len(decided)), lambda k: (points[k].deciding_family, points[k].verdict)
+    ):
+        chosen = list(part)
+        axes.plot(
+            np.take(value, chosen), decided[chosen], color=INK, linewidth=1.1, zorder=2.5,
+            marker="." if len(chosen) == 1 else "",
+        )  # fmt: skip
+    shown = np.append(moduli[moduli >= SMALLEST], decided[decided >= SMALLEST_DECIDING])
     lowest, highest = float(np.min(shown)), float(np.max(shown))
     if highest > 2.0:
         axes.set_yscale("log")
@@ -195,6 +211,7 @@ def _handles(followed, looks):
                 )
             )  # fmt: skip
     handles.append(Line2D([], [], color="0.7", linewidth=0.7, label="all multipliers"))
+    handles.append(Line2D([], [], color=INK, linewidth=1.1, label="multiplier that decided"))
     return handles
 
 

@@ -32,6 +32,8 @@ class Viewer:
         For Rerun's command line.
     errors : file, optional
         Takes what it writes to stderr.
+    stays : bool
+        Whether it may stay open when this process ends. It keeps its files by itself then.
 
     Attributes
     ----------
@@ -44,7 +46,9 @@ class Viewer:
         If it does not start.
     """
 
-    def __init__(self, *options: str, errors: IO[bytes] | None = None) -> None:
+    def __init__(
+        self, *options: str, errors: IO[bytes] | None = None, stays: bool = False
+    ) -> None:
         port = free_port()
         self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         # The viewer itself, not the Python script around it, which would not pass signals on.
@@ -52,6 +56,10 @@ class Viewer:
         command = [program, "--bind", "127.0.0.1", "--port", str(port), *options]
         # Rerun sends no usage statistics where CI is set; in its own session, Ctrl-C is not for it.
         environment = {**os.environ, "CI": "1", "RUST_LOG": "error"}
+        # It leaves a folder for temporary files behind when it is told to end.
+        self._folder = None if stays else tempfile.TemporaryDirectory(prefix="tss_viewer_")
+        if self._folder:
+            environment["TMPDIR"] = self._folder.name
         self.process = subprocess.Popen(
             command,
             env=environment,
@@ -68,7 +76,7 @@ class Viewer:
                     "before it could be used"
                 )
             if time.monotonic() > deadline:
-                self.process.terminate()
+                self.close()
                 raise TssError(f"the Rerun viewer did not answer within {START_S:g} s")
             time.sleep(0.05)
 
@@ -84,6 +92,8 @@ class Viewer:
         """End it."""
         self.process.terminate()
         self.process.wait()
+        if self._folder:
+            self._folder.cleanup()
 
 
 def on_screen() -> Viewer:
@@ -99,7 +109,7 @@ def on_screen() -> Viewer:
             "there is no screen for the Rerun viewer (DISPLAY and WAYLAND_DISPLAY are not set); "
             "`review BAG` needs none with --web, --png FILE, --video FILE or --save FILE"
         )
-    return Viewer()
+    return Viewer(stays=True)
 
 
 def in_browser() -> tuple[Viewer, str]:
