@@ -24,10 +24,10 @@ reproduce: setup
 	@. ./activate && ros2 run tss_ros reproduce && ros2 run tss_ros literature && exec ros2 run tss_ros feedback
 
 test: setup
-	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not long" $(PYTEST)
+	@. ./activate && exec python -m pytest -n auto --dist loadfile -m "not long" $(PYTEST)
 
 test-all: setup
-	@. ./activate && exec python -m pytest -n auto --maxprocesses 4 --dist loadfile $(PYTEST)
+	@. ./activate && exec python -m pytest -n auto --dist loadfile $(PYTEST)
 
 benchmarks: setup
 	@. ./activate && exec python -m benchmarks $(BENCHMARKS)

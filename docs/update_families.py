@@ -29,7 +29,7 @@ def renewed(section, names):
         return section[0]
     picture = str(PAGE.parent / "families" / f"{name}.png")
     with contextlib.redirect_stdout(io.StringIO()) as out:
-        follow([*shlex.split(section["arguments"]), "--plot", picture])
+        follow([*shlex.split(section["arguments"]), "--plot", picture, "--overwrite"])
     return f"{section['arguments']} --plot {name}.png\n{section['between']}{out.getvalue()}"
 
 

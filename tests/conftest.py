@@ -33,6 +33,11 @@ stay_on_this_machine()
 import ros_harness  # noqa: E402, it starts ROS, which reads the environment
 
 
+def pytest_xdist_auto_num_workers():
+    """One more than there are processors: tests wait for nodes more than they compute."""
+    return min((os.cpu_count() or 1) + 1, 4)
+
+
 @pytest.fixture
 def start(tmp_path):
     """A function that starts nodes in a folder of the test; they are gone when it ends."""
