@@ -217,6 +217,22 @@ def test_a_recorder_that_turns_deaf_says_so_and_ends_complete(start, tmp_path):
     assert serialised_messages(bag) and simulator.stop() == 0
 
 
+def test_who_joins_takes_no_place_of_a_killed_one_that_others_still_hold(start):
+    simulator = start("sim_node", time_scale=100)
+    simulator.wait_for_line("three_star")
+    before = set(shared_memory_of(simulator.pid))
+    places = []
+    for name in ("first", "second"):
+        recorder = start("logger_node", output=name)
+        bag = Path(recorder.directory) / name
+        ros_harness.wait_until(recorded_so_far(bag, 50_000), ros_harness.START_S, "a recording")
+        written_to = set(shared_memory_of(simulator.pid)) - before
+        places.append(set(shared_memory_of(recorder.pid)) & written_to)
+        recorder.kill()
+    assert all(places) and not places[0] & places[1]
+    assert simulator.stop() == 0
+
+
 JOIN = """
 import os, re, threading, time, rclpy
 from pathlib import Path

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import socket
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import rclpy
 from rclpy.context import Context
 from rclpy.logging import get_logger
-from rclpy.utilities import get_rmw_implementation_identifier
+from rclpy.utilities import get_default_context, get_rmw_implementation_identifier
 
 from tss_ros.core import TssError
 
@@ -22,6 +23,9 @@ RANGE, PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FI
 _LOOPBACK = ("0100007F", f"{0:024X}01000000")
 #: How long [s] others may take to replace shared memory, and how often to join at most.
 SETTLE_S, JOIN_ATTEMPTS = 0.1, 10
+#: Where the participants of a domain listen, as RTPS has it: the first port of all, ports of a
+#: domain, and the first of the two ports of each participant. So many find each other.
+FIRST_PORT, PER_DOMAIN, UNICAST, PARTICIPANTS = 7400, 250, 10, 32
 
 
 def stay_on_this_machine() -> None:
@@ -45,8 +49,9 @@ def joined(context: Context | None = None) -> Iterator[None]:
     """Make this process a participant of the graph, one that hears; nodes are made inside.
 
     A process that takes the place of a killed one gets its shared memory, too. Others may still
-    try to reach the killed one then, find its memory dead, and replace it behind the back of the
-    new owner, who hears nothing from then on. So this joins anew until that has not happened.
+    hold that then: they write to it for good, where nobody reads, or find it dead, and replace it
+    behind the back of the new owner, who hears nothing from then on. So this takes no such place,
+    and joins anew until its own memory has not been replaced.
 
     Parameters
     ----------
@@ -61,13 +66,14 @@ def joined(context: Context | None = None) -> Iterator[None]:
     """
     for attempt in range(JOIN_ATTEMPTS):
         # Hidden; its context's participant is that of the nodes made inside.
-        node = rclpy.create_node(
-            f"_joining_{os.getpid()}_{attempt}",
-            context=context,
-            use_global_arguments=False,  # which may name all nodes of the process alike
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        with _past_the_dead((context or get_default_context()).get_domain_id()):
+            node = rclpy.create_node(
+                f"_joining_{os.getpid()}_{attempt}",
+                context=context,
+                use_global_arguments=False,  # which may name all nodes of the process alike
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
         try:
             time.sleep(SETTLE_S)
             if not (lost := lost_ports()):
@@ -78,6 +84,40 @@ def joined(context: Context | None = None) -> Iterator[None]:
             node.destroy_node()
         get_logger("network").warning(f"{shared_memory_lost(lost)}; joining anew")
     raise TssError(shared_memory_lost(lost))
+
+
+@contextlib.contextmanager
+def _past_the_dead(domain_id):
+    """Keep the next participant away from ports of the dead whose memory others still hold."""
+    with contextlib.ExitStack() as kept:
+        for participant in range(PARTICIPANTS):
+            port = FIRST_PORT + PER_DOMAIN * domain_id + UNICAST + 2 * participant
+            taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                taken.bind(("127.0.0.1", port))
+            except OSError:
+                taken.close()  # somebody lives there
+                continue
+            kept.enter_context(taken)
+            if not (_is_held(port) or _is_held(port + 1)):
+                taken.close()
+                break
+        else:
+            kept.close()  # better a place of the dead than one where nobody looks
+        yield
+
+
+def _is_held(port):
+    """Whether another process holds the shared memory that somebody has left at a port."""
+    if not Path(f"/dev/shm/fastrtps_port{port}").exists():
+        return False
+    others = (p for p in os.listdir("/proc") if p.isdecimal() and int(p) != os.getpid())
+    for process in others:
+        with contextlib.suppress(OSError):  # ended, or another user's
+            maps = Path(f"/proc/{process}/maps").read_text(encoding="utf-8", errors="replace")
+            if re.search(rf"fastrtps_port{port}\b", maps):
+                return True
+    return False
 
 
 def lost_ports() -> list[int]:
