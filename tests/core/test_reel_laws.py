@@ -352,3 +352,18 @@ def test_reels_hold_a_star_that_turns_with_its_ellipse(eccentricity):
     )
     # Three turns of the circle are one orbit.
     assert slowest == pytest.approx(per_turn**3, rel=10.0 * eccentricity)
+
+
+def test_reels_follow_tension_about_a_conical_axis():
+    rigid = {"axial_stiffness_n": 5e5, "damping_n_s_per_m": 100.0, "bilateral": True}
+    system = core.ring(
+        tether_length_m=1000.0, spin_axis=(0.0, 0.5, 0.9), linear_gravity=True, **rigid, **LAW
+    )
+    found = core.compute_floquet(system, -1.8)
+    assert "conical axis" in found.message and found.verdict == "asymptotically stable"
+    assert found.closure_residual < 1e-9 and len(found.multiplier) == 6 * 3 + 2 * 3
+    assert max(found.segment_error, found.convergence_error, found.liouville_error) < 1e-8
+    # What a reel adds comes back with k / c, as about any axis.
+    modulus = np.abs(found.multiplier)
+    slowest = np.exp(-1.0 / 1000.0 * found.period_s)
+    assert np.count_nonzero(np.abs(modulus / slowest - 1.0) < 0.02) == 3
