@@ -360,3 +360,16 @@ def time_ns(stamp):
 def motion(message):
     """Positions and velocities of BeadStates, bit for bit."""
     return bytes(message.position_m), bytes(message.velocity_m_s)
+
+
+def sockets_of(pid, protocol):
+    """Rows of the kernel's tables, split, of a process's sockets; protocol is "tcp" or "udp"."""
+    links = set()
+    for path in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            links.add(os.readlink(path))
+    rows = []
+    for table in (protocol, f"{protocol}6"):
+        lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
+        rows += [line.split() for line in lines]
+    return [row for row in rows if f"socket:[{row[9]}]" in links]

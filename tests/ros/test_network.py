@@ -4,9 +4,9 @@ import os
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+import ros_harness
 
 from tss_ros.ros.network import PROFILE, PROFILES, RANGE
 
@@ -40,12 +40,7 @@ def reach(**values):
 
 def udp_addresses(pid):
     """Local addresses, in hexadecimal, of a process's UDP sockets."""
-    links = [os.readlink(path) for path in Path(f"/proc/{pid}/fd").iterdir()]
-    lines = []
-    for table in ("udp", "udp6"):
-        lines += Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
-    rows = [line.split() for line in lines]
-    return [row[1] for row in rows if f"socket:[{row[9]}]" in links]
+    return [row[1] for row in ros_harness.sockets_of(pid, "udp")]
 
 
 def other_address():
