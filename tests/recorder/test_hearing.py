@@ -241,7 +241,7 @@ import os, re, threading, time, rclpy
 from pathlib import Path
 from tss_ros.ros import network
 network.stay_on_this_machine()
-network.SETTLE_S = 0.5
+network.SETTLE_S = 1.5
 before = set(os.listdir("/dev/shm"))
 def take_away():
     while True:

@@ -120,8 +120,8 @@ def test_full_disk_ends_the_recorder_with_one_line(start):
     logger = start("logger_node", output="bag", options={"preexec_fn": limit})
     simulator = start("sim_node", time_scale=0, wait_for_recorder=True)
     assert logger.wait(ros_harness.START_S) == 1
-    lines = logger.stderr.splitlines()
-    (complaint,) = (x for x in lines if "[INFO]" not in x and "were lost" not in x)
+    # Before it a node may warn, as of silence on a busy machine.
+    (complaint,) = (x for x in logger.stderr.splitlines() if x.startswith("logger_node: "))
     assert "bag_0.mcap cannot be written: File too large" in complaint
     (account,) = recover.recover(logger.directory / "bag")
     assert "messages recovered" in account

@@ -24,9 +24,8 @@ _LOOPBACK = ("0100007F", f"{0:024X}01000000")
 #: How long [s] others may take to replace shared memory, and how often to join at most.
 SETTLE_S, JOIN_ATTEMPTS = 0.1, 10
 #: Where the participants of a domain listen, as RTPS has it: the first port of all, ports of a
-#: domain, and the first of the two ports of each participant. So many find each other. Fast DDS
-#: has another port for each, the first one that is free, whatever the domain.
-FIRST_PORT, PER_DOMAIN, UNICAST, PARTICIPANTS, ANOTHER_PORT = 7400, 250, 10, 32, 7000
+#: domain, and the first of the two ports of each participant. So many find each other.
+FIRST_PORT, PER_DOMAIN, UNICAST, PARTICIPANTS = 7400, 250, 10, 32
 
 
 def stay_on_this_machine() -> None:
@@ -90,26 +89,17 @@ def joined(context: Context | None = None) -> Iterator[None]:
 @contextlib.contextmanager
 def _past_the_dead(domain_id):
     """Keep the next participant away from ports of the dead whose memory others still hold."""
-    first = FIRST_PORT + PER_DOMAIN * domain_id + UNICAST
-    pairs = [(first + 2 * i, first + 2 * i + 1) for i in range(PARTICIPANTS)]
-    others = [(ANOTHER_PORT + i,) for i in range(PARTICIPANTS)]
-    with _taken(pairs), _taken(others):
-        yield
-
-
-@contextlib.contextmanager
-def _taken(places):
-    """Take the free places, tuples of ports, before the first one that nobody holds."""
     with contextlib.ExitStack() as kept:
-        for ports in places:
+        for participant in range(PARTICIPANTS):
+            port = FIRST_PORT + PER_DOMAIN * domain_id + UNICAST + 2 * participant
             taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             try:
-                taken.bind(("127.0.0.1", ports[0]))
+                taken.bind(("127.0.0.1", port))
             except OSError:
                 taken.close()  # somebody lives there
                 continue
             kept.enter_context(taken)
-            if not any(map(_is_held, ports)):
+            if not (_is_held(port) or _is_held(port + 1)):
                 taken.close()
                 break
         else:
