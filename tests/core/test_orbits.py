@@ -434,8 +434,8 @@ def test_a_hanging_dumbbell_librates_with_the_orbit(eccentricity, linear):
     assert np.abs(angle).max() == pytest.approx(amplitude, abs=1e-3)
     assert angle[-1] == pytest.approx(angle[0], abs=1e-6)
     assert angle[0] == pytest.approx(0.0, abs=1e-3)  # odd
-    tilts = result.multiplier[np.array(result.family) == "axis tilt"]
-    turning = tilts[np.abs(tilts.imag) > 0.1]
+    swings = result.multiplier[np.array(result.family) == "libration"]
+    turning = swings[np.abs(swings.imag) > 0.1]
     assert turning.sum().real == pytest.approx(trace, abs=2e-5 if linear else 2e-4)
     np.testing.assert_allclose(np.abs(turning), 1.0, atol=1e-6)
     assert result.largest_error < 1e-6
@@ -450,8 +450,8 @@ def test_a_hanging_dumbbell_tumbles_beyond_its_eccentricity():
         result = compute_floquet(
             dumbbell(eccentricity=eccentricity, linear_gravity=True), 0.0, certify=False
         )
-        tilts = result.multiplier[np.array(result.family) == "axis tilt"]
-        flat = tilts[tilts.real < 0.0]
+        swings = result.multiplier[np.array(result.family) == "libration"]
+        flat = swings[swings.real < 0.0]
         assert (np.abs(flat).max() < 1.0 + 1e-5) == stable
 
 
@@ -460,7 +460,7 @@ def test_where_the_orbit_begins_does_not_change_multipliers():
         compute_floquet(dumbbell(eccentricity=0.2, true_anomaly_deg=nu), 0.0, certify=False)
         for nu in (0.0, 130.0)
     )
-    pairs = [np.sort_complex(r.multiplier[np.array(r.family) == "axis tilt"]) for r in (one, other)]
+    pairs = [np.sort_complex(r.multiplier[np.array(r.family) == "libration"]) for r in (one, other)]
     np.testing.assert_allclose(*pairs, atol=2e-5)
 
 

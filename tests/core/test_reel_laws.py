@@ -324,10 +324,10 @@ def test_a_reel_damps_a_pair_that_hangs_on_an_ellipse():
     assert found.verdict == "asymptotically stable" and len(family) == 6 * 2 + 2
     assert max(found.segment_error, found.convergence_error, found.liouville_error) < 1e-8
     assert found.closure_residual < 1e-9 and found.state.reel_length_m.shape == (1,)
-    swings = np.sort(np.abs(found.multiplier[family == "axis tilt"]))
+    swings = np.sort(np.abs(found.multiplier[family == "libration"]))
     assert swings[2] == pytest.approx(1.0, abs=1e-6) and swings[1] < 0.97
     # A swing next to the motion comes to what its multiplier says.
-    mode = int(np.flatnonzero((family == "axis tilt") & (np.abs(found.multiplier) < 0.97))[0])
+    mode = int(np.flatnonzero((family == "libration") & (np.abs(found.multiplier) < 0.97))[0])
     integrator = Integrator(system, 0.0, 1e-11, 700.0)
     integrator.period_s = found.period_s
     x = to_scaled(integrator, found.state)

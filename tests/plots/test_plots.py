@@ -222,7 +222,7 @@ def test_rest_lengths_are_drawn_and_their_work_is_told_where_reels_move():
         assert [axes.get_ylabel() for axes in figure.axes][:: panels - 1] == ends
         assert len(figure.axes) == panels
         title = plots.balance(turns, np.arange(5.0), lengths, rests_m=rests_m).axes[1].get_title
-        assert ("to which reels have done work" in title(loc="left")) == (rests_m is moved)
+        assert ("reels do work, too" in title(loc="left")) == (rests_m is moved)
     rests = figure.axes[1]
     assert rests.get_ylabel() == "rest length [m]"
     np.testing.assert_array_equal(rests.lines[1].get_ydata(), moved[:, 1])

@@ -91,7 +91,7 @@ def trajectories(
         else:
             axes.set_aspect("equal", adjustable="datalim")
         if not in_plane:
-            said = f"{view.title}, widths not to scale" if thin else view.title
+            said = f"{view.title},\nwidths not to scale" if thin else view.title
             axes.set_title(said, color=INK, fontsize="medium")
     legend_below(figure, panels[0] if in_plane else panels[1], columns=3)
     title = ""
@@ -326,7 +326,7 @@ def balance(
         (
             f"The centre of mass moves by {moved_m:.3g} m along an axis",
             f"The energy in the orbit frame {'falls' if change_j < 0 else 'rises'}"
-            f" by {abs(change_j):.3g} J{', to which reels have done work' * _reels_move(rests_m)}",
+            f" by {abs(change_j):.3g} J{'; reels do work, too' * _reels_move(rests_m)}",
         ),
     ):
         axes.set_title(words, loc="left", color=INK, fontsize="medium")

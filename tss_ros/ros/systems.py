@@ -7,6 +7,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from tss_ros.core import State, System, TssError
+from tss_ros.core.errors import allowed_words
 from tss_ros.ros import parameters
 from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import MAX_BEADS
@@ -75,7 +76,9 @@ def read_overrides(messages: Iterable[rcl_interfaces.msg.Parameter]) -> dict[str
     values = {}
     for message in messages:
         if message.name not in table:
-            raise TssError(f"override {message.name!r:.80} is unknown; allowed: {', '.join(table)}")
+            raise TssError(
+                f"override {message.name!r:.80} is unknown{allowed_words(message.name, table)}"
+            )
         if message.name in values:
             raise TssError(f"override {message.name!r} is given twice; allowed: once each")
         try:

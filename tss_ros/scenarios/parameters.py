@@ -282,6 +282,14 @@ def names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in parameters)
 
 
+def label(name: str) -> str:
+    """What an axis of a parameter is called, with its unit."""
+    if name == SPIN_RATE_RATIO.name:
+        return "spin rate over orbital rate, ω/Ω [-]"
+    (unit,) = (parameter.unit for parameter in SCENARIO if parameter.name == name)
+    return f"{name} [{unit}]" if unit else name
+
+
 def read_assignment(text: str) -> tuple[str, object]:
     """Name and value from "name=1.5", "name=3", "name=1,2.5,3" or, for texts, "name=word".
 

@@ -238,8 +238,9 @@ def _parse(arguments):
     if options.parameter not in TEXTS:
         try:
             options.values = [float(value) for value in options.values]
-        except ValueError as error:
-            parser.error(f"--values of {options.parameter} are numbers: {error}")
+        except ValueError:
+            given = " ".join(options.values)
+            parser.error(f"--values of {options.parameter} must be numbers, got {given:.80}")
     own = ()
     if not (options.rates or options.critical or options.follow):
         own = _own_rates(parser, options.scenario)

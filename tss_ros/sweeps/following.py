@@ -120,7 +120,8 @@ def _follow(options, stopped):
         }
         families.save(family, options.output, about)
     if options.plot:
-        plots.family(family, _label(options.parameter), system.tether_law).savefig(options.plot)
+        label = parameters.label(options.parameter)
+        plots.family(family, label, system.tether_law).savefig(options.plot)
     if family.ended:
         say("follow", family.ended)
     if stopped.is_set():
@@ -143,14 +144,6 @@ def _start(options, loaded, system):
     state = families.start_from(options.start, options.parameter, options.first)
     where = str(options.start)
     return {"state": starts.given_start(system, state.position_m, state.velocity_m_s, where)}
-
-
-def _label(name):
-    """The abscissa's label of a parameter."""
-    if name == SPIN_RATE_RATIO:
-        return "spin rate over orbital rate, ω/Ω [-]"
-    (unit,) = (p.unit for p in parameters.SCENARIO if p.name == name)
-    return f"{name} [{unit}]"
 
 
 class _Progress:

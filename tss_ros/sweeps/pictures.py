@@ -8,6 +8,7 @@ import pyarrow.compute
 
 from tss_ros import plots
 from tss_ros.core.stability.law_words import laws_in_words
+from tss_ros.scenarios.parameters import label
 from tss_ros.sweeps.jobs import CRITICAL_RATES, MULTIPLIERS, Question
 from tss_ros.sweeps.store import Store
 
@@ -63,7 +64,7 @@ def draw(question: Question, store: Store) -> plots.Figure:
 
     shown = ("spin_rate_ratio", "uncertainty", "cause")
     return plots.stability_map(
-        question.parameter or "scenario",
+        label(question.parameter) if question.parameter else "scenario",
         arrays(
             points(question, store, "job", "spin_rate_ratio", "verdict"),
             "spin_rate_ratio",

@@ -199,8 +199,8 @@ def families_over_orbits(
     The centre of mass has all its six at 1, where the spin's are too, so that vectors there are any
     mixture. The matrix is seen in two parts, the centre and the beads against it, which do not mix
     but for the gradient's change over the formation; their own multipliers are told apart, and each
-    multiplier is of the family of the one that it is next to. A formation that hangs has no spin:
-    its librations in the plane and out of it count as tilts.
+    multiplier is of the family of the one that it is next to. A formation that hangs has librations
+    in the plane and out of it instead of spin and tilts.
     """
     system = integrator.system
     n, planar = system.n, stays_in_plane(system, state)
@@ -248,11 +248,11 @@ def _rigid_families(integrator, state, vectors, planar):
     arm = state.position_m - np.average(state.position_m, axis=0, weights=mass)
     x, y, z = ((np.sqrt(mass)[:, None] * np.cross(axis, arm)).reshape(1, -1) for axis in np.eye(3))
     names = np.full(above.size, FAMILIES[3], dtype=object)
-    about_normal = FAMILIES[1] if integrator.spin else FAMILIES[2]
+    about_normal, across = FAMILIES[1:3] if integrator.spin else (FAMILIES[4], FAMILIES[4])
     halves = vectors.reshape(2, arm.size, -1)
     for turns, family, allowed in (
         (z, about_normal, ~above),
-        (np.vstack([x, y]), FAMILIES[2], above),
+        (np.vstack([x, y]), across, above),
     ):
         _, size, turns = np.linalg.svd(turns, full_matrices=False)
         turns = turns[size > FLAT * np.linalg.norm(arm * np.sqrt(mass)[:, None])]
