@@ -123,9 +123,7 @@ class Parser(argparse.ArgumentParser):
         self._completing, self._outputs, self._parameters = False, [], ()
         self.add_argument("--version", action=_ShowVersion, dest=argparse.SUPPRESS)
 
-    def add_override(
-        self, names: Sequence[str], kind: Callable[[str], Any], text: str, group: Any = None
-    ) -> None:
+    def add_override(self, names: Sequence[str], kind: Callable[[str], Any], text: str) -> None:
         """Add --override, which takes `NAME=VALUE` of parameters, as often as one likes.
 
         Parameters
@@ -136,10 +134,9 @@ class Parser(argparse.ArgumentParser):
             Makes of a word what is kept.
         text : str
             What --help says.
-        group : argument group, optional
         """
         self._parameters = names
-        (group or self).add_argument(
+        self.add_argument(
             "--override", nargs="+", action="extend", default=[], type=kind, metavar="NAME=VALUE",
             help=text,
         )  # fmt: skip

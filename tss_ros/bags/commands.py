@@ -21,6 +21,7 @@ from tss_ros.core.model.elements import why_not_autonomous
 from tss_ros.core.model.feedback import acting_thrusts
 from tss_ros.core.model.laws.feedback import THRUST_LIMIT
 from tss_ros.core.model.laws.orbit import ELEMENTS
+from tss_ros.core.model.laws.reel import REEL_MASS, REEL_TENSION
 from tss_ros.core.model.reel_law import acting_reel_laws
 from tss_ros.core.model.system import ORBIT_NORMAL
 from tss_ros.core.presentation import turn_in_words
@@ -110,14 +111,15 @@ def describe(recording: Recording) -> str:
         if law.parameters:
             values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
             lines.append(f"law           {law.name}: {', '.join(values)}")
+    given = r.system.law_parameters
     if acting := acting_thrusts(r.system):
-        given = r.system.law_parameters
         values = [f"{p.name} {given[p.name]:g}" for law in acting for p in law.parameters]
         limit = given[THRUST_LIMIT.name]
         values.append(f"{THRUST_LIMIT.name} {limit:g}" if limit else "without a limit")
         lines.append(f"feedback      {', '.join(values)}")
+    of_all = [p for p in (REEL_TENSION, REEL_MASS) if given[p.name] != p.default]
     for law in acting_reel_laws(r.system):
-        values = (f"{p.name} {r.system.law_parameters[p.name]:g}" for p in law.parameters)
+        values = (f"{p.name} {given[p.name]:g}" for p in (*law.parameters, *of_all))
         lines.append(f"reels         {law.name}: {', '.join(values)}")
     out_m = r.rests_m[r.rests_m > 0.0]  # neither cut nor on a reel
     if np.ptp(r.rests_m, axis=0).any() and out_m.size:

@@ -12,6 +12,8 @@ from typing import Any
 
 from tss_ros.extras import advice
 
+#: What an axis of spin rates is called.
+SPIN_RATE_LABEL = "spin rate over orbital rate, ω/Ω [-]"
 _CELL = "text-align:left;vertical-align:top;padding:1px 12px 1px 0"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from tss_ros.bags.commands import describe
 from tss_ros.bags.recording import Recording
 from tss_ros.core import in_words
-from tss_ros.core.presentation import turn_in_words
+from tss_ros.core.presentation import SPIN_RATE_LABEL, turn_in_words
 from tss_ros.core.stability.law_words import law_in_words
 from tss_ros.pages import html
 from tss_ros.plots.charts import broken, verdicts_in_words
@@ -221,7 +221,7 @@ def moduli(rows: list[dict], critical: list[tuple[float, str]] = ()) -> "html.go
         for name in ("max_modulus", "deciding_modulus")
     )
     title = verdicts_in_words(rate, verdict, critical)
-    drawn = html.figure(title, "spin rate over orbital rate, ω/Ω [-]", "modulus |ρ| [-]", 430)
+    drawn = html.figure(title, SPIN_RATE_LABEL, "modulus |ρ| [-]", 430)
     grey = {"color": "#999999", "width": 1.2}
     drawn.add_scatter(x=rate, y=of_all, mode="lines", name="largest of all", line=grey)
     marked = np.where(np.isfinite(decided), decided, of_all)

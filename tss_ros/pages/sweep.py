@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from tss_ros.core import TssError, in_words
+from tss_ros.core.presentation import SPIN_RATE_LABEL
 from tss_ros.pages import html
 from tss_ros.pages.bag import moduli
 from tss_ros.sweeps.ensemble import MOTIONS, probabilities
@@ -18,7 +19,6 @@ from tss_ros.sweeps.jobs import CRITICAL_RATES, FAMILIES, MULTIPLIERS, SIMULATIO
 from tss_ros.sweeps.store import MANIFEST
 
 #: The table of an ensemble.
-RATE = "spin rate over orbital rate, ω/Ω [-]"
 #: What of a question is no fact for readers.
 HIDDEN = ("scenario ", "version of ")
 #: Columns shown of a table, those that it has; of one not named here, all short ones.
@@ -162,7 +162,7 @@ def _map(rows, critical, parameter):
         words.append(f"none found at {len(rows) - len(found)} points")
     drawn = html.figure(
         "; ".join([*words, f"{len(critical)} critical rates"]),
-        parameter if by_value else "system", RATE, 520,
+        parameter if by_value else "system", SPIN_RATE_LABEL, 520,
     )  # fmt: skip
 
     def place(row):
@@ -210,7 +210,8 @@ def _probabilities(motions):
     """How probably disturbed motions hold, push by push, with intervals of confidence."""
     order = [("spin_rate_ratio", "ascending"), ("disturbance_m", "ascending")]
     found = probabilities(motions.sort_by(order))
-    drawn = html.figure("Share of disturbed motions that held", RATE, "share held [-]", 430)
+    title = "Share of disturbed motions that held"
+    drawn = html.figure(title, SPIN_RATE_LABEL, "share held [-]", 430)
     for i, push in enumerate(sorted({point.disturbance_m for point in found})):
         points = [point for point in found if point.disturbance_m == push]
         share = [point.probability for point in points]

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
+from tss_ros.core.presentation import SPIN_RATE_LABEL
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -21,7 +22,6 @@ from tss_ros.plots.style import (
     state_law,
 )
 
-_RATE = "spin rate over orbital rate, ω/Ω [-]"
 _HOLD = "probability to hold [-]"
 STABLE, NONE = "asymptotically stable", "none found"
 #: Values of a parameter, at least three, that span this factor get a logarithmic axis.
@@ -95,7 +95,7 @@ def stability(
     _scale_moduli(axes, np.concatenate([of_all, nontrivial, decided]))
     finish(
         axes,
-        _RATE,
+        SPIN_RATE_LABEL,
         f"multiplier modulus |ρ| [-]\n({method})",
     )
     axes.xaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]))
@@ -252,7 +252,7 @@ def stability_map(
             if values.size <= MOST_TICKS:
                 axes.set_xticks(values, [f"{value:g}" for value in values], minor=False)
     axes.yaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]))
-    finish(axes, parameter, _RATE)
+    finish(axes, parameter, SPIN_RATE_LABEL)
     legend_beside(figure, axes)
     state_law(figure, law, _map_in_words(verdicts, critical[1]))
     return figure
@@ -320,7 +320,7 @@ def hold_probability(
         axes.yaxis.set_major_formatter(
             lambda i, _: f"{disturbance_m[int(i)]:g}" if 0 <= i < len(disturbance_m) else ""
         )
-        finish(axes, _RATE, "push [m]")
+        finish(axes, SPIN_RATE_LABEL, "push [m]")
         axes.grid(False)
     else:
         _hold_curves(axes, spin_rate_ratio, disturbance_m, probability, bounds)
@@ -339,7 +339,7 @@ def hold_probability(
 def _hold_curves(axes, spin_rate_ratio, disturbance_m, probability, bounds):
     """A curve with its band for each push, or for each rate where there is one only."""
     low, high = bounds
-    abscissa, label = spin_rate_ratio, _RATE
+    abscissa, label = spin_rate_ratio, SPIN_RATE_LABEL
     names = [f"push of {push:g} m" for push in disturbance_m]
     if len(spin_rate_ratio) == 1:
         abscissa, label = disturbance_m, "push [m]"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tss_ros.core.presentation import SPIN_RATE_LABEL
 from tss_ros.plots.style import (
     COLOURS,
     DPI,
@@ -254,7 +255,7 @@ def _map_of_verdicts(rows, ylabel, title):
             axes.plot(*np.transpose(places), linestyle="", markersize=6, label=verdict, **style)
     axes.set_yticks(range(len(rows)), rows)
     axes.invert_yaxis()
-    finish(axes, "spin rate over orbital rate, ω/Ω [-]", ylabel)
+    finish(axes, SPIN_RATE_LABEL, ylabel)
     legend_below(figure, axes, columns=4)
     figure.suptitle(title, color=INK, fontsize="medium")
     return figure
@@ -297,7 +298,7 @@ def pyramids_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         if here:
             axes.plot([r["rate"] for r in here], [r["tilt_deg"] for r in here], linestyle="",
                       label=verdict, **style)  # fmt: skip
-    finish(axes, "spin rate over orbital rate, ω/Ω [-]", "axis from the vertical [degrees]")
+    finish(axes, SPIN_RATE_LABEL, "axis from the vertical [degrees]")
     legend_below(figure, axes, columns=3)
     figure.suptitle(
         "The Earth-facing double pyramid leans as it spins", color=INK, fontsize="medium"

@@ -46,9 +46,7 @@ class Viewer:
         If it does not start.
     """
 
-    def __init__(
-        self, *options: str, errors: IO[bytes] | None = None, stays: bool = False
-    ) -> None:
+    def __init__(self, *options: str, errors: IO[bytes] | None = None, stays: bool = False) -> None:
         port = free_port()
         self.url = f"rerun+http://127.0.0.1:{port}/proxy"
         # The viewer itself, not the Python script around it, which would not pass signals on.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from tss_ros.core import LAW_PARAMETERS, PERTURBATIONS, TETHER_LAWS, TssError
 from tss_ros.core.errors import near_match
+from tss_ros.core.presentation import SPIN_RATE_LABEL
 
 #: Largest system, in satellites and tether beads together, that a node builds.
 MAX_BEADS = 1000
@@ -285,7 +286,7 @@ def names(parameters: Sequence[Parameter]) -> tuple[str, ...]:
 def label(name: str) -> str:
     """What an axis of a parameter is called, with its unit."""
     if name == SPIN_RATE_RATIO.name:
-        return "spin rate over orbital rate, ω/Ω [-]"
+        return SPIN_RATE_LABEL
     (unit,) = (parameter.unit for parameter in SCENARIO if parameter.name == name)
     return f"{name} [{unit}]" if unit else name
 

@@ -37,8 +37,7 @@ class ReelLaw:
     ----------
     setup : Setup
         What the run begins with: L_0 is what is out then. T_0 is the steady tension next to each
-        reel there if none is given, as `core.model.reel_law` has it; that of the start where the
-        formation does not spin about the orbit normal.
+        reel there if none is given, as `core.model.reel_law` has it.
     acts : bool
         Whether it acts, where the setup has one.
 
