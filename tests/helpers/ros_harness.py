@@ -32,6 +32,9 @@ START_S = 90.0
 _numbers = itertools.count()
 #: How long [s] a node may take to end after SIGINT or SIGTERM.
 STOP_S = 6
+#: What Fast DDS prints before it takes the next port: port 7000 and those after it serve all
+#: domains of a machine, so tests that run side by side come upon each other there.
+_NEXT_PORT = re.compile(r"^.*RTPS_TRANSPORT_SHM.*Failed init_port.*\n", re.MULTILINE)
 #: The command `sweep`; it needs no ROS.
 SWEEP = [
     sys.executable, "-c", "import sys; from tss_ros.sweeps.command import main; sys.exit(main())"
@@ -76,11 +79,11 @@ class Process:
 
     @property
     def stdout(self):
-        return self._files[0].read_text()
+        return _NEXT_PORT.sub("", self._files[0].read_text())
 
     @property
     def stderr(self):
-        return self._files[1].read_text()
+        return _NEXT_PORT.sub("", self._files[1].read_text())
 
     @property
     def pid(self):
