@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from scipy.integrate import solve_ivp
 
 from tss_ros.core import (
@@ -40,6 +39,7 @@ from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability.confirmation import UndisturbedMotion
+from tss_ros.scenarios.files import load_yaml
 
 #: Stiff and light: the closed forms are those of tethers that do not stretch.
 STIFF = {"axial_stiffness_n": 5e6, "tether_length_m": 1000.0, "damping_n_s_per_m": 0.0}
@@ -278,7 +278,7 @@ def test_in_full_gravity_they_swing_nearly_so():
 
 
 def test_the_hanging_pair_of_the_shared_cases():
-    content = yaml.safe_load(HANGING_PAIR)
+    content = load_yaml(HANGING_PAIR, "the pair")
     bodies = [
         Satellite(body["name"], body["mass_kg"], tuple(body["position_m"]))
         for body in content["bodies"]

@@ -79,12 +79,41 @@ def test_tethers_of_the_same_name_are_duplicates(tmp_path):
         (PAIR.replace("1000.0", "1e6"), "is 1e.06 m long, and 'a' and 'b' are 1000 m apart"),
         (PAIR.replace("400000.0", "1000.0"), "orbit_altitude_m is 1000, .*120000 and more"),
         (RING + "orbit_altitude_m: 400\n", "orbit_altitude_m is 400, "),
+        (RING + "reel_stiffness_n_per_m: 0.5\n",
+         "reel_stiffness_n_per_m is 0.5, which .* unless reel_damping_n_s_per_m is not 0"),
+        (RING + "sun_longitude_deg: 9\n", "_deg is 9, .* unless solar_pressure_m2_per_kg is not 0"),
+        (RING + "thrust_limit_n: 1e0\n", "rotation_damping_n_s_per_m or shape_keeping_n_per_m is"),
         (MOVING.replace("1.5", "7350.0", 1), "velocity_m_s of 'a' is 7350 m/s; .* orbit frame"),
     ],
 )  # fmt: skip
 def test_what_is_probably_not_meant_is_warned_of(tmp_path, text, expected):
     with pytest.warns(ImplausibleValue, match=expected):
         load(tmp_path, text)
+
+
+def test_what_is_replaced_is_warned_of_too():
+    ring = scenario.load("three_star")
+    with pytest.warns(ImplausibleValue, match="scenario 'three_star': bead_mass_kg has no effect"):
+        ring.build({"bead_mass_kg": 3.0})
+    with pytest.warns(ImplausibleValue, match="'three_star': reel_mass_kg is 3, which has no "):
+        system = ring.build({"reel_mass_kg": 3.0})
+    assert "reel_mass_kg" not in system._facts()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = ring.build({"reel_mass_kg": 3.0, "reel_damping_n_s_per_m": 100.0})
+    assert system._facts()["reel_mass_kg"] == "3"
+
+
+@pytest.mark.parametrize("value", ["'100'", "true"])
+def test_neither_texts_nor_truth_values_are_numbers(tmp_path, value):
+    for text in (RING + f"tether_length_m: {value}\n", PAIR.replace("1000.0", value)):
+        with pytest.raises(TssError, match=f"length_m must be a number, got {value.title()}"):
+            load(tmp_path, text)
+
+
+def test_a_number_needs_neither_point_nor_sign(tmp_path):
+    system = load(tmp_path, RING + "tether_length_m: [1e3, 1E+3, 1.e3]\nj2: 2e-3\n").build()
+    assert set(system.rest_length_m) == {1000.0} and system.law_parameters["j2"] == 0.002
 
 
 def test_what_is_meant_is_not_warned_of(tmp_path):

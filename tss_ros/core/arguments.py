@@ -156,7 +156,10 @@ def numbers(name: str, values: object, kind: type | None = float) -> np.ndarray:
         Naming the thing and its value.
     """
     try:
-        return np.asarray(values, dtype=kind)
+        array = np.asarray(values)
+        if array.dtype.kind in "USb":  # text and truth values, which numpy would make numbers of
+            raise TypeError
+        return np.asarray(array, dtype=kind)
     except (TypeError, ValueError):
         shown = f"{values!r:.80}".replace("\n", " ")
         raise TssError(f"{name} must be an array of numbers, got {shown}") from None
@@ -193,9 +196,11 @@ def finite(
         Naming the thing, its value and what is allowed.
     """
     try:
+        if isinstance(value, str | bytes | bool | np.bool_):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
-        raise TssError(f"{name} must be a number, got {value!r}") from None
+        raise TssError(f"{name} must be a number, got {value!r:.80}") from None
     if not math.isfinite(number):
         raise TssError(f"{name} must be a finite number, got {number}")
     if above is not None and not number > above:

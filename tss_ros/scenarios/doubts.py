@@ -1,9 +1,9 @@
 """Values of scenarios that are allowed, but probably not what was meant."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
-from tss_ros.core import Satellite, System, Tether
+from tss_ros.core import LAW_PARAMETERS, Satellite, System, Tether
 
 #: What may well be meant: lowest orbit [m], largest speed [m/s] in the orbit frame, largest factor
 #: between the length of a tether and the distance of its ends.
@@ -16,6 +16,7 @@ class ImplausibleValue(UserWarning):
 
 def doubts(
     system: System,
+    given: Collection[str],
     bodies: Sequence[Satellite],
     tethers: Sequence[Tether],
     velocities: Sequence[Sequence[float]],
@@ -25,6 +26,8 @@ def doubts(
     Parameters
     ----------
     system : System
+    given : collection of str
+        Names of the parameters that replace those of a scenario.
     bodies, tethers, velocities : sequence
         What a scenario spells out; empty if it names a formation.
 
@@ -38,6 +41,13 @@ def doubts(
             f"orbit_altitude_m is {system.orbit_altitude_m:g}, where the air ends an orbit at once;"
             f" plausible: {LOWEST_ORBIT_M:g} and more, in metres"
         )
+    for parameter in LAW_PARAMETERS:
+        name, value = parameter.name, system.law_parameters[parameter.name]
+        if name in system.idle_parameters and value != parameter.default:
+            others = " or ".join(system.idle_parameters[name])
+            yield f"{name} is {value:g}, which has no effect unless {others} is not 0"
+    if "bead_mass_kg" in given and system.is_satellite.all():
+        yield "bead_mass_kg has no effect unless beads_per_tether is above 0"
     for tether in tethers:
         first, last = (bodies[end] for end in tether.ends)
         length = sum(tether.length_m)

@@ -42,6 +42,14 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         return super().construct_mapping(node, deep)
 
 
+# PyYAML takes 1e3 for a text, ROS for a number.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
 def open_regular(path: str | Path, follow: bool = True) -> BinaryIO:
     """Open a file to be read, if it is a regular one; never wait for what is none.
 

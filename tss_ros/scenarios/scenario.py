@@ -130,6 +130,11 @@ class Scenario:
         ------
         TssError
             Naming the parameter, its value and what is allowed.
+
+        Warns
+        -----
+        ImplausibleValue
+            If a value is allowed, but probably not what was meant.
         """
         values = {**self.parameters, **(overrides or {})}
         allowed = _PARAMETERS if self.formation != "graph" else _GRAPH_PARAMETERS
@@ -147,6 +152,9 @@ class Scenario:
         else:
             system = formation(self.formation, **values)
         system.spin_rate_rad_s(ratio)
+        spelled_out = self._bodies, self._tethers, self._velocities
+        for words in doubts(system, overrides or {}, *spelled_out):
+            warnings.warn(f"scenario {self.name!r}: {words}", ImplausibleValue, stacklevel=2)
         return system
 
     def start(self, system: System) -> InitialState | None:
@@ -243,8 +251,6 @@ def load(name_or_path: str | Path) -> Scenario:
             scenario.reels.of(system)
     except TssError as error:
         raise TssError(f"scenario {text!r}: {error}") from None
-    for words in doubts(system, scenario._bodies, scenario._tethers, scenario._velocities):
-        warnings.warn(f"scenario {text!r}: {words}", ImplausibleValue, stacklevel=2)
     return scenario
 
 

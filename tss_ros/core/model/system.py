@@ -17,7 +17,7 @@ import numpy as np
 from tss_ros.core.arguments import finite, numbers, unit_vector
 from tss_ros.core.errors import TssError, allowed_words, near_match
 from tss_ros.core.model.contract import BeadLaw, TetherLaw
-from tss_ros.core.model.laws import BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
+from tss_ros.core.model.laws import ACT_WITH, BEAD_LAWS, LAW_PARAMETERS, TETHER_LAWS
 from tss_ros.core.presentation import Presented
 
 #: Gravitational parameter of the Earth [m^3/s^2], as in the paper.
@@ -216,6 +216,12 @@ class System(Presented):
             for law in BEAD_LAWS
         )  # fmt: skip
 
+    @cached_property
+    def idle_parameters(self) -> dict[str, tuple[str, ...]]:
+        """Parameters of laws without effect, and others of which one would have to be not 0."""
+        values = self.law_parameters
+        return {name: of for name, of in ACT_WITH.items() if not any(values[one] for one in of)}
+
     @property
     def acting_laws(self) -> tuple[BeadLaw, ...]:
         """The laws that act on the beads."""
@@ -275,7 +281,11 @@ class System(Presented):
         return facts | {
             "orbit rate Omega": f"{self.orbit_rate_rad_s:.6e} rad/s",
             "laws": ", ".join((self.tether_law, *(law.name for law in self.acting_laws))),
-            **{name: f"{value:g}" for name, value in self.law_parameters.items() if value},
+            **{
+                name: f"{value:g}"
+                for name, value in self.law_parameters.items()
+                if value and name not in self.idle_parameters
+            },
         }
 
     @property
