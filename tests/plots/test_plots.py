@@ -318,6 +318,28 @@ def test_a_map_of_values_far_apart_has_a_tick_for_each():
     assert figure.get_suptitle().startswith("3 of 3 motions are asymptotically stable; none found")
 
 
+def test_moduli_over_a_parameter_have_a_curve_for_each_rate():
+    values = np.array([30000.0, 0.0, 300.0])  # in any order
+    moduli = np.array([[0.9, 1.0, 0.5], [np.nan, 1.2, 0.7], [np.nan] * 3])
+    verdict = np.array(
+        [["asymptotically stable", "neutral", "asymptotically stable"],
+         ["none found", "unstable", "asymptotically stable"], ["none found"] * 3], dtype=object,
+    )  # fmt: skip
+    rates = np.array([-3.0, -2.5, -2.0])
+    figure = plots.stability_over_parameter("damping", values, rates, moduli, verdict)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    drawn = lines(axes)
+    np.testing.assert_array_equal(drawn["ω/Ω = -3"].T, [[0.0, 300.0, 30000.0], [1.0, 0.5, 0.9]])
+    np.testing.assert_array_equal(drawn["ω/Ω = -2.5"][:, 1], [1.2, 0.7, np.nan])
+    assert "ω/Ω = -2 (none found)" in drawn
+    np.testing.assert_array_equal(axes.get_xticks(), [0.0, 300.0, 30000.0])
+    assert axes.get_xlim()[0] > -200.0
+    title = figure.get_suptitle()
+    assert title.startswith("3 of 5 motions are asymptotically stable; none found at 4 of 9 points")
+    assert "the least modulus is 0.5, at 300 and -3 Ω" in title
+
+
 def test_stability_of_like_moduli_is_drawn_on_a_plain_scale():
     figure = plots.stability([-3, -2], [1.000001, 1.000002], [1, 1], ["neutral"] * 2, "frozen")
     assert figure.axes[0].get_yscale() == "linear"

@@ -1,6 +1,6 @@
 """The topics that hardware components of ros2_control use, through the bridge of the examples."""
 
-import subprocess
+import signal
 import sys
 import time
 from pathlib import Path
@@ -46,10 +46,9 @@ class Component:
 
 @pytest.fixture
 def bridge(tmp_path):
-    process = subprocess.Popen([sys.executable, BRIDGE], cwd=tmp_path, stderr=subprocess.PIPE)
+    process = ros_harness.Process(sys.executable, tmp_path, [BRIDGE])
     yield process
-    process.terminate()
-    process.wait(10)
+    process.stop(signal.SIGTERM)
 
 
 def test_hardware_components_push_satellites_and_move_reels(start, client, bridge):
@@ -91,13 +90,15 @@ def test_hardware_components_push_satellites_and_move_reels(start, client, bridg
     )  # fmt: skip
     assert reels.latest["tether_1"][1] == -0.2 and reels.latest["tether_3"][0] > 10_000.0
     mixed = Component(simulator, [*SATELLITES, "tether_1"], "effort")
-    mixed.commands.publish(JointState(name=mixed.joints, effort=[0.0] * 9, velocity=[0.1]))
-    mixed.commands.publish(JointState(name=SATELLITES, effort=[0.0] * 8))
+
+    def refused():
+        mixed.commands.publish(JointState(name=mixed.joints, effort=[0.0] * 9, velocity=[0.1]))
+        mixed.commands.publish(JointState(name=SATELLITES, effort=[0.0] * 8))
+        words = "no thrust along tether_1; allowed: satellite_1_x", "8 efforts are for 9 joints"
+        return all(word in bridge.stderr for word in words)
+
+    simulator.spin_until(refused, ros_harness.START_S, "refusals of the bridge")
     thrusters.write(9 * [float("nan")])
     process.wait_for_line("command refused: force")
-    assert process.running and bridge.poll() is None
-    bridge.terminate()
-    _, said = bridge.communicate(timeout=10)
-    assert b"no thrust along tether_1; allowed: satellite_1_x" in said
-    assert b"8 efforts are for 9 joints" in said
+    assert process.running and bridge.running
     assert process.stop() == 0

@@ -44,6 +44,25 @@ def test_map_of_damping_has_tables_picture_and_simulations(tmp_path):
         assert len(picture.convert("L").getcolors()) > 10
 
 
+def test_a_chart_over_gains_with_other_parameters_than_the_scenarios(tmp_path):
+    gains, rest = [0.0, 300.0, 30000.0], {"reel_stiffness_n_per_m": 0.5, "damping_n_s_per_m": 0.0}
+    done = run(
+        "three_star", "--rates", "-2.9", "-2.9", "1", "--methods", "monodromy",
+        "--parameter", "reel_damping_n_s_per_m", "--values", *map(str, gains),
+        "--override", *(f"{name}={value}" for name, value in rest.items()),
+        "--output", str(tmp_path),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "reel_stiffness_n_per_m is 0.5, which has no effect unless" in done.stderr  # without c
+    for row, gain in zip(rows(tmp_path / "multipliers"), gains, strict=True):
+        system = scenario.load("three_star").build(rest | {"reel_damping_n_s_per_m": gain})
+        assert row["deciding_modulus"] == compute_floquet(system, -2.9).deciding_modulus
+    with Image.open(tmp_path / "map.png") as picture:
+        assert len(picture.convert("L").getcolors()) > 10
+    with_others = run("three_star", "--rates", "-2.9", "-2.9", "1", "--output", str(tmp_path))
+    assert with_others.returncode == 1 and "holds another sweep" in with_others.stderr
+
+
 def test_the_tether_law_is_varied_and_named(tmp_path):
     done = run(
         "three_star", "--parameter", "tether_law", "--values", "kelvin_voigt", "tension_only",
@@ -160,6 +179,10 @@ def test_what_is_left_out_is_no_failure_and_another_question_than_to_ask_for_it(
             ("--parameter", "tether_law", "--values", "tension", "--rates", "-3", "-2", "2"), 1,
             "did you mean 'tension_only'?",
         ),
+        (("--override", "spin_rate_ratio=-3"), 1, "spin_rate_ratio is what the rates say"),
+        (("--override", "j2=1", "--parameter", "j2", "--values", "0"), 1, "j2 is what is varied"),
+        (("--override", "j3=1"), 1, "j3 is not a parameter of scenario 'three_star'"),
+        (("--j2=1",), 2, "'--j2=1' is a parameter: --override j2=VALUE"),
         (("--critical", "-2", "-2"), 1, "must not be empty"),
         (("--critical", "-3", "-2", "--tolerance", "0"), 1, "tolerance"),
         (("--rates", "-3", "-2", "2", "--retry"), 2, "--retry needs --output"),

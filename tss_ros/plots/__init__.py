@@ -12,9 +12,10 @@ from tss_ros.extras import advice
 if TYPE_CHECKING:
     from tss_ros.plots.animation import Animation as Animation
     from tss_ros.plots.animation import animate as animate
-    from tss_ros.plots.charts import hold_probability as hold_probability
     from tss_ros.plots.charts import stability as stability
     from tss_ros.plots.charts import stability_map as stability_map
+    from tss_ros.plots.charts import stability_over_parameter as stability_over_parameter
+    from tss_ros.plots.ensembles import hold_probability as hold_probability
     from tss_ros.plots.families import family as family
     from tss_ros.plots.families import special_curves as special_curves
     from tss_ros.plots.mode_shapes import mode_of as mode_of
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "tss_ros.plots.animation": ("Animation", "animate"),
-    "tss_ros.plots.charts": ("hold_probability", "stability", "stability_map"),
+    "tss_ros.plots.charts": ("stability", "stability_map", "stability_over_parameter"),
+    "tss_ros.plots.ensembles": ("hold_probability",),
     "tss_ros.plots.families": ("family", "special_curves"),
     "tss_ros.plots.mode_shapes": ("mode_of", "mode_shape", "shown_mode", "shown_motion"),
     "tss_ros.plots.motions": ("balance", "deviation", "tethers", "trajectories"),

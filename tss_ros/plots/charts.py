@@ -16,13 +16,11 @@ from tss_ros.plots.style import (
     VERDICT_STYLES,
     Figure,
     finish,
-    legend_below,
     legend_beside,
     series_style,
     state_law,
 )
 
-_HOLD = "probability to hold [-]"
 STABLE, NONE = "asymptotically stable", "none found"
 #: Values of a parameter, at least three, that span this factor get a logarithmic axis.
 LOGARITHMIC = 20.0
@@ -240,22 +238,26 @@ def stability_map(
         axes.set_xticks(range(len(labels)), labels, rotation=20, ha="right")
         axes.set_xlim(-0.5, len(labels) - 0.5)
     else:
-        values = np.unique(np.concatenate([points[0], critical[0]]))
-        above = values[values > 0]
-        wide = above.size > 1 and values[0] >= 0 and above[-1] >= LOGARITHMIC * above[0]
-        if wide and values.size > 2:
-            if above.size < values.size:
-                axes.set_xscale("symlog", linthresh=above[0], linscale=0.3)
-            else:
-                axes.set_xscale("log")
-            axes.xaxis.set_major_formatter(ScalarFormatter())
-            if values.size <= MOST_TICKS:
-                axes.set_xticks(values, [f"{value:g}" for value in values], minor=False)
+        _scale_values(axes, np.unique(np.concatenate([points[0], critical[0]])))
     axes.yaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 2.5, 5, 10]))
     finish(axes, parameter, SPIN_RATE_LABEL)
     legend_beside(figure, axes)
     state_law(figure, law, _map_in_words(verdicts, critical[1]))
     return figure
+
+
+def _scale_values(axes, values):
+    """A logarithmic abscissa, where values of a parameter span much; a tick for each of a few."""
+    above = values[values > 0]
+    wide = above.size > 1 and values[0] >= 0 and above[-1] >= LOGARITHMIC * above[0]
+    if wide and values.size > 2:
+        if above.size < values.size:
+            axes.set_xscale("symlog", linthresh=above[0], linscale=0.3)
+        else:
+            axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(ScalarFormatter())
+        if values.size <= MOST_TICKS:
+            axes.set_xticks(values, [f"{value:g}" for value in values], minor=False)
 
 
 def _map_in_words(verdicts, critical):
@@ -274,86 +276,58 @@ def _map_in_words(verdicts, critical):
     return "; ".join(words)
 
 
-def hold_probability(
+def stability_over_parameter(
+    label: str,
+    values: np.ndarray,
     spin_rate_ratio: np.ndarray,
-    disturbance_m: np.ndarray,
-    probability: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    critical: Sequence[float] = (),
-    title: str = "",
+    deciding_modulus: np.ndarray,
+    verdict: np.ndarray,
+    method: str = "monodromy",
     law: str = "",
-    confidence: float = 0.95,
 ) -> Figure:
-    """How probably a disturbed formation holds: a curve for each push, or a map of many pushes.
+    """The modulus that decided each verdict over the values of a parameter, rate by rate.
 
     Parameters
     ----------
+    label : str
+        Of the abscissa.
+    values : ndarray, shape (k,)
+        Of the parameter, in any order.
     spin_rate_ratio : ndarray, shape (r,)
-    disturbance_m : ndarray, shape (p,)
-        [m] the pushes.
-    probability : ndarray, shape (r, p)
-        NaN where it is not known.
-    bounds : tuple of ndarray, shape (r, p)
-        Ends of its intervals of confidence.
-    critical : sequence of float
-        Critical rates to mark.
-    title, law : str
-        What it shows, and under which tether law; "" for nothing.
-    confidence : float
-        Of the intervals.
+    deciding_modulus : ndarray, shape (r, k)
+        [-]; NaN where nothing decided.
+    verdict : ndarray, shape (r, k)
+        "" where it is not known.
+    method : str
+        What the multipliers come from, named in the axis label.
+    law : str
+        Tether law, stated above; "" for nothing.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Of one rate, a curve against the push.
+        Curves are broken where no motion was found; such values are marked at the lower edge.
     """
-    figure = Figure(figsize=(8.0, 5.0), dpi=DPI, layout="constrained")
+    order = np.argsort(values)
+    values, moduli, verdict = values[order], deciding_modulus[:, order], verdict[:, order]
+    moduli = np.where(verdict == NONE, np.nan, moduli)
+    figure = Figure(figsize=(9.4, 5.2), dpi=DPI, layout="constrained")
     axes = figure.subplots()
-    if len(spin_rate_ratio) > 1 and len(disturbance_m) > len(COLOURS):
-        places = np.arange(len(disturbance_m))
-        shown = axes.pcolormesh(
-            spin_rate_ratio, places, probability.T, vmin=0.0, vmax=1.0, cmap="viridis",
-            shading="nearest",
-        )  # fmt: skip
-        figure.colorbar(shown, label=_HOLD)
-        axes.yaxis.set_major_locator(MaxNLocator(12, integer=True))
-        axes.yaxis.set_major_formatter(
-            lambda i, _: f"{disturbance_m[int(i)]:g}" if 0 <= i < len(disturbance_m) else ""
-        )
-        finish(axes, SPIN_RATE_LABEL, "push [m]")
-        axes.grid(False)
-    else:
-        _hold_curves(axes, spin_rate_ratio, disturbance_m, probability, bounds)
-        axes.set_ylabel(f"{_HOLD}\n(bands: {confidence:.0%} confidence)")
-    if len(spin_rate_ratio) > 1:
-        for i, rate in enumerate(critical):
-            label = "critical rate" if i == 0 else None
-            axes.axvline(rate, color=INK, linewidth=0.9, linestyle="--", label=label)
-    if axes.get_legend_handles_labels()[0]:
-        legend_below(figure, axes, columns=4)
-    axes.set_title(title, fontsize="medium")
-    state_law(figure, law)
+    axes.axhline(1, color=INK, linewidth=0.9, linestyle="--", label="unit modulus")
+    for i, (ratio, curve) in enumerate(zip(spin_rate_ratio, moduli)):
+        name = f"ω/Ω = {ratio:.6g}" + " (none found)" * bool(np.all(verdict[i] == NONE))
+        axes.plot(values, curve, linewidth=1.3, zorder=2, label=name, **series_style(i))
+    across = np.broadcast_to(values, moduli.shape).ravel()
+    _mark_verdicts(axes, across, moduli.ravel(), verdict.ravel())
+    _scale_values(axes, values)
+    _scale_moduli(axes, moduli)
+    finish(axes, label, f"multiplier modulus |ρ| that decided [-]\n({method})")
+    legend_beside(figure, axes)
+    words = [_map_in_words(verdict[verdict != ""], ())]
+    stable = np.where(verdict == STABLE, moduli, np.nan)
+    if np.isfinite(stable).any():
+        rate, place = np.unravel_index(np.nanargmin(stable), stable.shape)
+        at = f" and {spin_rate_ratio[rate]:.6g} Ω" if len(spin_rate_ratio) > 1 else ""
+        words.append(f"the least modulus is {stable[rate, place]:.6g}, at {values[place]:g}{at}")
+    state_law(figure, law, "\n".join(words))
     return figure
-
-
-def _hold_curves(axes, spin_rate_ratio, disturbance_m, probability, bounds):
-    """A curve with its band for each push, or for each rate where there is one only."""
-    low, high = bounds
-    abscissa, label = spin_rate_ratio, SPIN_RATE_LABEL
-    names = [f"push of {push:g} m" for push in disturbance_m]
-    if len(spin_rate_ratio) == 1:
-        abscissa, label = disturbance_m, "push [m]"
-        names = [f"ω/Ω = {ratio:g}" for ratio in spin_rate_ratio]
-        probability, low, high = probability.T, low.T, high.T
-    alone = len(abscissa) == 1
-    for i, name in enumerate(names):
-        style, marker = series_style(i), MARKERS[i % len(MARKERS)]
-        axes.plot(abscissa, probability[:, i], marker=marker, markersize=4, label=name, **style)
-        if alone:
-            axes.vlines(abscissa, low[:, i], high[:, i], color=style["color"])
-        else:
-            axes.fill_between(
-                abscissa, low[:, i], high[:, i], color=style["color"], alpha=0.2, linewidth=0.0
-            )
-    axes.set_ylim(-0.03, 1.03)
-    finish(axes, label, _HOLD)

@@ -187,14 +187,11 @@ def settings(found: Mapping[str, Any]) -> list[str]:
         f" each tether, where the scenario has {tether_damping:g}. So are the six beads of all"
         f" sections that name no other C. That changes the fourth digit: with {WATCHED:g} N s/m the"
         f" table has {watched.max_modulus_nontrivial:.5f}, which is what this prints,",
-        "    python -c 'from tss_ros import core; from tss_ros.scenarios import scenario\n"
-        f'    changed = {{"damping_n_s_per_m": {feedback.TETHER_DAMPING},'
-        f' "{feedback.DAMPING}": {WATCHED}}}\n'
-        f'    ring = scenario.load("{name}").build(changed)\n'
-        f"    print(core.compute_floquet(ring, {RATE:g}).max_modulus_nontrivial)'",
-        f"and the scenario's own C gives {found['shipped'].max_modulus_nontrivial:.5f}:",
         f"    tss sweep {name} --rates {RATE:g} {RATE:g} 1 --methods monodromy \\\n"
-        f"        --parameter {feedback.DAMPING} --values {WATCHED:g}",
+        f"        --override {feedback.DAMPING}={WATCHED:g}"
+        f" damping_n_s_per_m={feedback.TETHER_DAMPING:g}",
+        "and the scenario's own C, without the last word, gives"
+        f" {found['shipped'].max_modulus_nontrivial:.5f}.",
     ]
 
 

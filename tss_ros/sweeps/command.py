@@ -12,7 +12,7 @@ from tss_ros.command_line import Parser, say, why_not_written
 from tss_ros.core import METHODS, TssError, in_words
 from tss_ros.core.stability.law_words import NEVER_PUSH
 from tss_ros.scenarios import scenario
-from tss_ros.scenarios.parameters import VARIED, names
+from tss_ros.scenarios.parameters import SCENARIO, VARIED, names, override
 from tss_ros.sweeps import jobs, work
 from tss_ros.sweeps.jobs import BESIDE, CRITICAL_RATES, MULTIPLIERS, SIMULATIONS, TEXTS, Question
 from tss_ros.sweeps.pictures import draw, laws, points
@@ -183,7 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         question = Question(
             options.scenario, options.parameter, options.values, options.rates,
             options.methods, options.critical, options.tolerance, options.confirm,
-            followed=options.follow,
+            followed=options.follow, overrides=dict(options.override),
         )  # fmt: skip
         with work.opened(question, options.output) as store:
 
@@ -231,6 +231,11 @@ def _parse(arguments):
         "--parameter", default="", help=f"parameter to vary: {', '.join(names(VARIED))}"
     )
     parser.add_argument("--values", nargs="+", default=[], metavar="VALUE")
+    parser.add_override(
+        names(SCENARIO),
+        override,
+        "a parameter that differs from the scenarios', e.g. tether_law=tension_only",
+    )
     work.add_options(parser, "Parquet tables and a map")
     options = parser.parse_args(arguments)
     if bool(options.parameter) != bool(options.values):

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, get_origin, get_type_hints
 
@@ -155,6 +155,8 @@ class Question:
         Length of the simulations `BESIDE` every critical rate; 0 for none.
     followed : (float, float) or None
         Spin rates from which and to which the own family is followed.
+    overrides : mapping, optional
+        Parameters that differ from those of the scenarios, by name.
 
     Attributes
     ----------
@@ -164,7 +166,7 @@ class Question:
     Raises
     ------
     TssError
-        If a scenario or a value is not allowed.
+        If a scenario, an override or a value is not allowed.
     """
 
     name = "sweep"
@@ -181,7 +183,12 @@ class Question:
         turns: int,
         *,
         followed: tuple[float, float] | None = None,
+        overrides: Mapping[str, Any] | None = None,
     ) -> None:
+        self.overrides = dict(overrides or {})
+        for name, told in ((SPIN_RATE_RATIO, "the rates say"), (parameter, "is varied")):
+            if name in self.overrides:
+                raise TssError(f"{name} is what {told}; it cannot be overridden")
         self.parameter, self.methods, self.followed = parameter, methods or METHODS, followed
         self.interval, self.tolerance, self.turns = interval, tolerance, turns
         self.ratios = np.linspace(*rates).tolist() if rates else []
@@ -190,9 +197,9 @@ class Question:
         for name in scenarios:
             template = self._templates[name] = scenario.load(name)
             if parameter:
-                self.systems += [(name, v, template.build({parameter: v})) for v in values]
+                self.systems += [(name, v, self._build(template, v)) for v in values]
             else:
-                self.systems.append((name, None, template.build()))
+                self.systems.append((name, None, template.build(self.overrides)))
         shown = "{} {}={:g}" if parameter and not self.varies_text else "{} {}={}"
         self.labels = [
             shown.format(name, parameter, value) if parameter else name
@@ -211,11 +218,15 @@ class Question:
             "rates": rates, "methods": list(self.methods), "critical": interval,
             "tolerance": tolerance, "confirm": turns, "follow": followed,
             **({"left out": self.left_out} if self.left_out else {}),
+            **({"overrides": self.overrides} if self.overrides else {}),
             **{f"version of {name}": value for name, value in software.versions().items()},
         }  # fmt: skip
 
     def __len__(self):
         return int(self._first[-1])
+
+    def _build(self, template, value):
+        return template.build(self.overrides | {self.parameter: value})
 
     def _methods(self, label):
         """The methods by which multipliers of a system are computed."""

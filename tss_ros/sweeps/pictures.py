@@ -1,4 +1,4 @@
-"""The picture of a sweep: a map of verdicts, or curves where there is one system."""
+"""The picture of a sweep: a map of verdicts, or curves over rates or over a parameter."""
 
 import math
 
@@ -11,6 +11,9 @@ from tss_ros.core.stability.law_words import laws_in_words
 from tss_ros.scenarios.parameters import label
 from tss_ros.sweeps.jobs import CRITICAL_RATES, MULTIPLIERS, Question
 from tss_ros.sweeps.store import Store
+
+#: Most spin rates for which there is a curve each.
+MOST_CURVES = 6
 
 
 def laws(question: Question, store: Store) -> str:
@@ -40,8 +43,27 @@ def _draw_curves(question, store):
     )  # fmt: skip
 
 
+def _draw_values(question, store):
+    """The modulus that decided over the values of a parameter, for each of a few spin rates."""
+    columns = "job", "spin_rate_ratio", "deciding_modulus", "verdict"
+    found = points(question, store, *columns).to_pydict()
+    shape = len(question.ratios), len(question.systems)
+    moduli, verdicts = np.full(shape, np.nan), np.full(shape, "", dtype=object)
+    for job, ratio, modulus, verdict in zip(*(found[name] for name in columns)):
+        place = question.ratios.index(ratio), question.system_index(job)
+        moduli[place], verdicts[place] = modulus, verdict
+    return plots.stability_over_parameter(
+        label(question.parameter),
+        np.array([value for _, value, _ in question.systems]),
+        np.array(question.ratios), moduli, verdicts, question.methods[0], laws(question, store),
+    )  # fmt: skip
+
+
 def draw(question: Question, store: Store) -> plots.Figure:
-    """The map of verdicts and critical rates; of one system, curves of its multipliers.
+    """The map of verdicts and critical rates.
+
+    Of one system: curves of its multipliers. Of a scenario with several values of a parameter at
+    no more than `MOST_CURVES` rates: curves of the modulus that decided.
 
     Parameters
     ----------
@@ -56,6 +78,9 @@ def draw(question: Question, store: Store) -> plots.Figure:
         return _draw_curves(question, store)
     several = len({name for name, _, _ in question.systems}) > 1
     named = question.varies_text or not question.parameter or several
+    few = question.ratios and len(question.ratios) <= MOST_CURVES
+    if few and not named and question.interval is None:
+        return _draw_values(question, store)
     place = np.array([i if named else v for i, (_, v, _) in enumerate(question.systems)])
 
     def arrays(found, *columns):
