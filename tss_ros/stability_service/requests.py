@@ -14,6 +14,7 @@ from tss_interfaces.srv import ComputeFloquet, ComputeGrowth, FindCriticalRates
 
 from tss_ros.core import METHODS, Cancelled, CriticalRatesJob, FloquetJob, State, System, TssError
 from tss_ros.core.stability.critical_rates import SLOWEST
+from tss_ros.core.stability.follow import LONGEST_STEP as LONGEST
 from tss_ros.core.stability.growth import FEWEST_TURNS
 from tss_ros.ros import systems
 from tss_ros.scenarios.parameters import SPIN_RATE_RATIO, VARIED, Parameter
@@ -42,7 +43,7 @@ SEARCH = (
     Parameter("tolerance", float, "Largest uncertainty", "-", 1e-6, 0.1, default=1e-3),
 )
 #: How a family is followed; a field left at zero means the default.
-LONGEST_STEP = Parameter("longest_step", float, "Longest step", "-", 1e-4, 1.0, default=0.04)
+LONGEST_STEP = Parameter("longest_step", float, "Longest step", "-", 1e-4, 1.0, default=LONGEST)
 MOST_POINTS = Parameter("most_points", int, "Most points", "", 1, 10_000, default=2000)
 #: The simulation beside a verdict; how many turns are allowed depends on the system.
 CONFIRM_TURNS = Parameter("confirm_turns", int, "Turns to simulate", minimum=0, maximum=MAX_TURNS)

@@ -12,6 +12,7 @@ from pathlib import Path
 from tss_ros import plots
 from tss_ros.command_line import FIGURES, Parser, ProgressLine, say
 from tss_ros.core import PARAMETERS, Cancelled, Family, FamilyPoint, TssError, follow
+from tss_ros.core.stability.follow import LONGEST_STEP
 from tss_ros.scenarios import parameters, scenario, starts
 from tss_ros.sweeps import families, software
 
@@ -193,7 +194,9 @@ def _parse(arguments):
         help="follow the branch that leaves the family in --start at its branch point or period"
         " doubling next to this value",
     )  # fmt: skip
-    parser.add_argument("--step", type=float, default=0.04, help="longest, over the value (0.04)")
+    parser.add_argument(
+        "--step", type=float, default=LONGEST_STEP, help=f"longest, over the value ({LONGEST_STEP})"
+    )
     parser.add_argument("--points", type=int, default=2000, help="at most (2000)")
     parser.add_output(
         "--output", (".parquet",), metavar="FILE", help="write the points and states (.parquet)"

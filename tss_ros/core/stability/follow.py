@@ -28,7 +28,7 @@ from tss_ros.core.stability.formation_motion import formation_motion
 from tss_ros.core.stability.modes import stays_in_plane
 from tss_ros.core.stability.spectrum import Spectrum, spectrum
 
-#: Largest step, and distance to which special points are located, over the parameter.
+#: Largest step if not given, and distance to which special points are located, over the parameter.
 LONGEST_STEP, TOLERANCE = 0.02, 1e-7
 #: How near to its end a family is that goes no farther, over the parameter, to be solved there.
 NEAR_STOP = 1e-5
