@@ -29,6 +29,8 @@ from tss_interfaces.msg import BeadStates, SimulationEvent, SimulationStatus, Sy
 
 #: How long [s] a loaded machine may take to start a node; the first one may compile the core.
 START_S = 90.0
+#: How many times as long as a quiet machine conditions are waited for.
+PATIENCE = 3
 _numbers = itertools.count()
 #: How long [s] a node may take to end after SIGINT or SIGTERM.
 STOP_S = 6
@@ -42,10 +44,10 @@ SWEEP = [
 
 
 def wait_until(condition, timeout_s, what):
-    """Return the first true value of `condition()`; fail when it takes longer than `timeout_s`."""
-    deadline = time.monotonic() + timeout_s
+    """Return the first true value of `condition()`; fail after `PATIENCE` times `timeout_s`."""
+    deadline = time.monotonic() + PATIENCE * timeout_s
     while not (value := condition()):
-        assert time.monotonic() < deadline, f"waited {timeout_s:g} s for {what}"
+        assert time.monotonic() < deadline, f"waited {PATIENCE} x {timeout_s:g} s for {what}"
         time.sleep(0.01)
     return value
 
@@ -94,12 +96,12 @@ class Process:
         return self._popen.poll() is None
 
     def wait(self, timeout_s):
-        """Return the exit status; fail when the process takes longer."""
+        """Return the exit status; fail when the process takes `PATIENCE` times as long."""
         try:
-            return self._popen.wait(timeout_s)
+            return self._popen.wait(PATIENCE * timeout_s)
         except subprocess.TimeoutExpired:
             raise AssertionError(
-                f"{self.name} still runs after {timeout_s:g} s; {self.stdout}{self.stderr}"
+                f"{self.name} still runs after {PATIENCE} x {timeout_s:g} s; {self.stdout}{self.stderr}"
             ) from None
 
     def send(self, number):
@@ -107,7 +109,7 @@ class Process:
         self._popen.send_signal(number)
 
     def stop(self, number=signal.SIGINT):
-        """Send a signal and return the exit status; fail when that takes longer than STOP_S."""
+        """Send a signal and return the exit status; fail when that takes much longer than STOP_S."""
         self.send(number)
         return self.wait(STOP_S)
 
@@ -190,9 +192,9 @@ def client_node():
     executor.add_node(node)
 
     def spin_until(condition, timeout_s, what):
-        deadline = time.monotonic() + timeout_s
+        deadline = time.monotonic() + PATIENCE * timeout_s
         while not (value := condition()):
-            assert time.monotonic() < deadline, f"waited {timeout_s:g} s for {what}"
+            assert time.monotonic() < deadline, f"waited {PATIENCE} x {timeout_s:g} s for {what}"
             executor.spin_once(timeout_sec=0.01)
         return value
 

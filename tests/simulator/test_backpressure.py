@@ -171,7 +171,7 @@ def test_whoever_reports_no_progress_holds_it_only_for_a_while(run):
     run.start(100)
     while not run.ended.wait(0.02):
         run.report(0)
-        assert time.monotonic() - begun < 10
+        assert time.monotonic() - begun < 60
     assert time.monotonic() - begun > 0.4
     assert len(run.warnings) == 1 and "'a' has been at step 0 for 0.5 s" in run.warnings[0]
 
