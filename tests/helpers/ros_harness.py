@@ -101,7 +101,8 @@ class Process:
             return self._popen.wait(PATIENCE * timeout_s)
         except subprocess.TimeoutExpired:
             raise AssertionError(
-                f"{self.name} still runs after {PATIENCE} x {timeout_s:g} s; {self.stdout}{self.stderr}"
+                f"{self.name} still runs after {PATIENCE} x {timeout_s:g} s;"
+                f" {self.stdout}{self.stderr}"
             ) from None
 
     def send(self, number):
@@ -109,7 +110,7 @@ class Process:
         self._popen.send_signal(number)
 
     def stop(self, number=signal.SIGINT):
-        """Send a signal and return the exit status; fail when that takes much longer than STOP_S."""
+        """Send a signal and return the exit status; fail when that takes far longer than STOP_S."""
         self.send(number)
         return self.wait(STOP_S)
 
