@@ -10,7 +10,7 @@ from tss_ros import core
 from tss_ros.core import Commands, Propagator, State, TssError
 from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_MASS, REEL_STIFFNESS, REEL_TENSION
 from tss_ros.core.model.orbits import ReferenceOrbit
-from tss_ros.core.model.reel_law import reel_tension_n
+from tss_ros.core.model.reel_law import pull_per_metre, reel_tension_n
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
@@ -198,6 +198,38 @@ def test_reels_run_away_where_a_longer_tether_pulls_harder_than_they_draw_back()
     growth = np.exp(0.5 * limit / 1000.0 * found.period_s)
     shape = np.abs(found.multiplier[np.array(found.family) == "shape"])
     assert np.max(shape) == pytest.approx(growth, rel=1e-4) and np.max(shape) > 1.0
+
+
+def test_soft_reels_are_softened_where_they_hold():
+    """At -2.9 they hold; no family connects that with fast spin, where a longer tether pulls more.
+
+    What decays slowest are the rest lengths themselves, as exp(-(k - T/L) t / c).
+    """
+    soft = {"damping_n_s_per_m": 20.0, "reel_stiffness_n_per_m": 5e-4}
+    system = core.ring(**LAW | soft)
+    pull = pull_per_metre(system, -2.9)
+    assert pull == pytest.approx(reel_tension_n(system, -2.9)[0] / 1e4, rel=1e-12)
+    assert pull < 5e-4 < pull_per_metre(system, -10.0)
+    found = core.compute_floquet(system, -2.9, certify=False)
+    assert found.verdict == "asymptotically stable" and "softened there from" in found.message
+    decay = np.exp(-(5e-4 - pull) / 1000.0 * found.period_s)
+    assert found.deciding_modulus == pytest.approx(decay, rel=3e-5)
+    stiffer = core.ring(**LAW | soft | {"reel_stiffness_n_per_m": 0.004})
+    family = core.follow(
+        stiffer, "reel_stiffness_n_per_m", 0.004, 5e-4, spin_rate_ratio=-2.9, longest_step=0.2
+    )
+    there = family.points[-1]
+    assert there.parameter == 5e-4 and there.verdict == found.verdict
+    assert there.deciding_modulus == pytest.approx(found.deciding_modulus, rel=1e-6)
+    np.testing.assert_allclose(there.state.reel_length_m, found.state.reel_length_m, atol=1e-3)
+
+
+def test_a_boundary_within_errors_is_told_so():
+    """The reels hold below 4.82 in size; growth beyond is so slow that it is told later only."""
+    system = core.ring(**LAW | {"reel_stiffness_n_per_m": 5e-4, "damping_n_s_per_m": 1450.0})
+    (critical,) = core.find_critical_rates(system, -5.6, -4.6, 0.02, 0.2)
+    assert critical.cause == "shape" and critical.spin_rate_ratio < -4.9
+    assert "stability may end on the stable side already: |rho| is 1.000" in critical.resonance
 
 
 def test_families_end_with_words_where_a_law_ends():

@@ -69,6 +69,20 @@ def reel_tension_n(system: System, spin_rate_ratio: float) -> np.ndarray:
     return tether_state(system, place, np.zeros_like(place))[1][moving]
 
 
+def pull_per_metre(system: System, spin_rate_ratio: float) -> float:
+    """T/L [N/m], how much harder a longer tether pulls in a turn: the largest of all reels'.
+
+    Raises
+    ------
+    NoSteadyState
+        If there is no steady shape.
+    """
+    place = averaged_state(system, spin_rate_ratio).position_m
+    tension_n = tether_state(system, place, np.zeros_like(place))[1][reels_that_yield(system)]
+    lengths_m = [np.sum(system.rest_length_m[list(reel.segments)]) for reel in reels(system)]
+    return float(np.max(tension_n / lengths_m))
+
+
 def with_reels(arrays: KernelArrays, system: System, spin_rate_rad_s: float) -> KernelArrays:
     """The arrays with the rest lengths that are states, if the system has such reels.
 

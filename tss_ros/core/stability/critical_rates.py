@@ -14,6 +14,7 @@ from tss_ros.core.model.elements import require_autonomous
 from tss_ros.core.model.system import System
 from tss_ros.core.presentation import Presented
 from tss_ros.core.stability.floquet import compute_floquet
+from tss_ros.core.stability.judge import SMALLEST_TOLERANCE
 from tss_ros.core.stability.krein import may_meet
 from tss_ros.core.stability.resonances import name_resonance
 from tss_ros.core.stability.result import FloquetResult
@@ -45,7 +46,8 @@ class CriticalRate(Presented):
         Share of the time that taut tethers push, on the motion at the bracket's stable end.
     resonance : str
         Where multipliers leave the unit circle: the modes that meet and their condition, see
-        `name_resonance`. Where the family ends: how. Else "".
+        `name_resonance`, and whether a multiplier lies outside on the stable side, too, by no more
+        than it is known to. Where the family ends: how. Else "".
     """
 
     spin_rate_ratio: float
@@ -186,13 +188,19 @@ def _bracket(system, a, b, tolerance, cancelled):
             "first slack" if slack else worse.cause,
             1 if better is b else -1,
             better.result.pushing_share,
-            "" if slack else _why(system, worse.result),
+            "" if slack else _why(system, worse.result, better.result),
         )
     ]
 
 
-def _why(system, result):
-    """What ends stability at a result that is not stable, in words."""
-    if result.verdict == "unstable":
-        return name_resonance(system, result)
-    return result.message.split(";")[0]
+def _why(system, result, beside):
+    """What ends stability at a result that is not stable, in words, and the one beside it."""
+    if result.verdict != "unstable":
+        return result.message.split(";")[0]
+    words = [name_resonance(system, result)]
+    if (modulus := beside.deciding_modulus) > 1.0 + SMALLEST_TOLERANCE:
+        words.append(
+            f"stability may end on the stable side already: |rho| is {modulus:.6f} there, no more"
+            " beyond 1 than it is known to"
+        )
+    return "; ".join(filter(None, words))

@@ -9,11 +9,9 @@ the answer for a rate does not depend on what was asked before.
 from __future__ import annotations
 
 import bisect
-import math
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,8 +38,6 @@ MOST_POINTS, MOST_BEADS = 400, 30
 MOST_IDLE = 60
 #: How near to its end a family is followed, over the rate.
 END_TOLERANCE = 1e-6
-#: Families that are remembered.
-REMEMBERED = 32
 
 
 @dataclass(frozen=True)
@@ -291,44 +287,6 @@ def closed(equations: ClosingEquations, solution: Solution, origin: str) -> Clos
     """The motion of a solution."""
     y = solution.y
     return Closed(equations.state(y), float(y[-3]), solution.residual, origin)
-
-
-_FAMILIES: OrderedDict = OrderedDict()
-_LOCK = threading.Lock()
-
-
-def own_motion(system: System, ratio: float, cancelled: Callable[[], bool] | None = None) -> Closed:
-    """The motion of a formation's own family at a spin rate.
-
-    Parameters
-    ----------
-    system : System
-    ratio : float
-        w = omega / Omega.
-    cancelled : callable, optional
-        Asked now and then; a true answer stops the work.
-
-    Returns
-    -------
-    Closed
-
-    Raises
-    ------
-    Ended
-        If the family does not reach that rate, or does not begin; the text says why.
-    Cancelled
-        If `cancelled` said so.
-    """
-    sense = int(math.copysign(1, ratio))
-    values = (getattr(system, field.name) for field in fields(system))
-    key = (sense, *(v.tobytes() if isinstance(v, np.ndarray) else repr(v) for v in values))
-    with _LOCK:
-        family = _FAMILIES.get(key) or OwnFamily(system, sense)
-        _FAMILIES[key] = family
-        _FAMILIES.move_to_end(key)
-        if len(_FAMILIES) > REMEMBERED:
-            _FAMILIES.popitem(last=False)
-    return family.at(ratio, cancelled)
 
 
 def nearest_motion(

@@ -31,6 +31,7 @@ from tss_ros.core.stability.judge import (
     judge_frozen,
 )
 from tss_ros.core.stability.modes import label, multipliers, stays_in_plane
+from tss_ros.core.stability.own_motion import own_motion
 from tss_ros.core.stability.proofs import convergence_error, liouville_error, segment_error
 from tss_ros.core.stability.result import METHODS, FloquetResult, asked
 from tss_ros.core.stability.shooting import (
@@ -182,7 +183,7 @@ def _search(integrator, state, cancelled):
         words += f"; not followed from fast spin, having more than {families.MOST_BEADS} beads"
         return motion, words
     try:
-        motion = families.own_motion(system, ratio, cancelled)
+        motion = own_motion(system, ratio, cancelled)
         return motion, f"start from {motion.origin}"
     except Ended as end:
         motion, words = _first_of_starts(integrator, ratio, cancelled)

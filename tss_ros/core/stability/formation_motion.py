@@ -20,6 +20,7 @@ from tss_ros.core.stability.closing import CLOSED
 from tss_ros.core.stability.continuation import Ended
 from tss_ros.core.stability.families import Closed
 from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
+from tss_ros.core.stability.own_motion import own_motion
 
 #: Largest angle [degrees] from the averaged configuration's axis to the motion's.
 FARTHEST_AXIS_DEG = 10.0
@@ -51,7 +52,7 @@ def formation_motion(
     """
     spin = system.spin_rate_rad_s(ratio)
     if not spin or system.turning_rad_s(spin):
-        return families.own_motion(system, ratio, cancelled)
+        return own_motion(system, ratio, cancelled)
     try:
         start = averaged_state(system, ratio)
     except NoSteadyState as error:
