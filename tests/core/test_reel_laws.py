@@ -7,13 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tss_ros import core
-from tss_ros.core import Commands, Propagator, State, TssError
+from tss_ros.core import Commands, IntegrationError, Propagator, State, TssError
 from tss_ros.core.model.laws.reel import REEL_DAMPING, REEL_MASS, REEL_STIFFNESS, REEL_TENSION
 from tss_ros.core.model.orbits import ReferenceOrbit
 from tss_ros.core.model.reel_law import pull_per_metre, reel_tension_n
 from tss_ros.core.model.system import MU_EARTH
 from tss_ros.core.motion.displacements import carry_displacements
 from tss_ros.core.motion.integrator import Integrator
+from tss_ros.core.stability.harmonic_balance import close_by_harmonic_balance
 from tss_ros.core.stability.shooting import carried_motion, from_scaled, to_scaled
 
 LAW = {"reel_damping_n_s_per_m": 1000.0}
@@ -151,6 +152,14 @@ def test_families_critical_rates_and_modes_are_those_of_the_loop():
 def test_leading_multipliers_are_refused():
     with pytest.raises(TssError, match="all multipliers of reels that follow tension are found or"):
         core.compute_floquet(STAR, -2.9, leading=4)
+    with pytest.raises(TssError, match="of 101 beads the leading 12 would be; allowed: at most"):
+        core.compute_floquet(core.ring(101, tether_length_m=1000.0, **LAW), -6.0)
+
+
+def test_harmonic_balance_refuses_reels_that_it_does_not_know():
+    integrator = Integrator(STAR, STAR.spin_rate_rad_s(-2.9), 1e-9, 1e4)
+    with pytest.raises(IntegrationError, match="knows no reels"):
+        close_by_harmonic_balance(integrator, core.initial_state(STAR, -2.9))
 
 
 def test_states_have_the_rest_lengths_of_their_system():

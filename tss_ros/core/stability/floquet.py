@@ -135,11 +135,11 @@ def compute_floquet(
 def _how_many(system, leading):
     """How many leading multipliers are sought, None for all."""
     if leading is None and system.n > MOST_BEADS:
-        return LEADING
+        leading = LEADING
     if leading is not None and reels_that_yield(system).size:
         raise TssError(
-            "all multipliers of reels that follow tension are found or none, but leading is"
-            f" {leading}; fix the reels, or have at most {MOST_BEADS} beads and leave it out"
+            f"all multipliers of reels that follow tension are found or none: of {system.n} beads"
+            f" the leading {leading} would be; allowed: at most {MOST_BEADS} beads, and no leading"
         )
     if leading is not None and not 1 <= leading < 6 * system.n:
         raise TssError(f"leading must be from 1 to {6 * system.n - 1}, got {leading}")

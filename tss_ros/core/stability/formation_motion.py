@@ -12,6 +12,7 @@ from collections.abc import Callable
 from tss_ros.core.errors import IntegrationError, NoSteadyState
 from tss_ros.core.model.axes import apart_deg, spin_axis_of
 from tss_ros.core.model.configurations import InitialState, averaged_state
+from tss_ros.core.model.reel_law import with_fixed_reels
 from tss_ros.core.model.system import System
 from tss_ros.core.motion.integrator import Integrator
 from tss_ros.core.stability import families
@@ -71,8 +72,8 @@ def formation_motion(
 
 
 def _balanced(system, spin, start, cancelled):
-    """A start nearer to the motion where the averaged configuration sways much."""
-    integrator = Integrator(system, spin, families.RTOL, families.size_of(system))
+    """A start nearer to the motion where the averaged configuration sways much; fixed reels."""
+    integrator = Integrator(with_fixed_reels(system), spin, families.RTOL, families.size_of(system))
     state = close_by_harmonic_balance(integrator, start, cancelled)
     return InitialState(state.position_m, state.velocity_m_s, start.origin)
 

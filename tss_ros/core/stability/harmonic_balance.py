@@ -60,10 +60,12 @@ def close_by_harmonic_balance(
     Raises
     ------
     IntegrationError
-        If the motion from `state` cannot be continued.
+        If the motion from `state` cannot be continued, or if reels follow tension.
     Cancelled
         If `cancelled` said so.
     """
+    if integrator.rows > integrator.system.n:
+        raise IntegrationError("harmonic balance knows no reels that follow tension")
     best, left = state, closure(integrator, state, cancelled).residual
     known = rigid = _rigid_turn(integrator, state)
     for harmonics in HARMONICS:
