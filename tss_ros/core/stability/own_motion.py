@@ -115,6 +115,8 @@ def _softened(system, stiffer, ratio, cancelled):
         for _ in range(MOST_POINTS):
             if curve.advance().parameter <= math.log(own):
                 break
+        else:
+            raise Ended(f"followed to {math.exp(curve.point.parameter):.4g}, {MOST_POINTS} points")
         y = np.append(curve.point.solution.y[:-1], math.log(own))
         solution = solve(equations, y, curve.point.linear)
         if not solution.residual <= CLOSED:
