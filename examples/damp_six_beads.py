@@ -8,12 +8,14 @@ motion relative to the ring that turns. Start it beside
 """
 
 import contextlib
+import signal
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from tss_interfaces.msg import BeadStates
 
 GAIN_N_S_PER_M = 1.0
@@ -47,6 +49,11 @@ class Damper(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(Damper())
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    executor.add_node(Damper())
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+    rclpy.shutdown()

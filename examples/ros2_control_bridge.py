@@ -9,12 +9,14 @@ its own name: the length out and its rate. Start it beside ``tss sim``.
 """
 
 import contextlib
+import signal
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from tss_interfaces.msg import BeadStates, TetherStates
 
@@ -102,6 +104,11 @@ class Bridge(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(Bridge())
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    executor.add_node(Bridge())
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+    rclpy.shutdown()

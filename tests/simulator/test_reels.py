@@ -22,7 +22,8 @@ from tss_ros.bags.verify import verify
 from tss_ros.bags.wrenches import read_commands
 from tss_ros.core import TssError, ring
 from tss_ros.simulator import straight
-from tss_ros.simulator.reel_topics import read_tethers, read_trajectory
+from tss_ros.simulator.reel_commands import RATE, TARGET, Limits, ReelCommand
+from tss_ros.simulator.reel_topics import limited, read_tethers, read_trajectory
 
 PERIOD_S, S = 2.0, 10**9
 GIVEN = {"publish_period_s": PERIOD_S, "disturbance_m": 1.0, "disturbance_seed": 3}
@@ -142,6 +143,8 @@ def test_a_rate_times_out_and_a_reel_stops_at_its_limits(winch):
     assert winch.rests(3, tether=2)[-1] == 9_985.0
     for name, value in (("reel_shortest_m", 0.0), ("reel_longest_m", -1.0)):
         assert not winch.sim.set(**{name: value}).successful
+    refused = winch.sim.set(reel_longest_m=9_000.0)
+    assert not refused.successful and "is 9000 m and reel_shortest_m 9985 m" in refused.reason
 
 
 def test_a_reel_fails_and_is_repaired(winch):
@@ -173,6 +176,26 @@ def test_a_reel_fails_and_is_repaired(winch):
 
 
 NAN, BIG = math.nan, 1e30
+@pytest.mark.parametrize(
+    ("kind", "length_m", "rate_m_s", "out_m", "said"),
+    [
+        (RATE, 0.0, 0.5, 900.0, "900 m are out, and reel_longest_m is 800 m: it does not move"),
+        (RATE, 0.0, -0.5, 900.0, ""),
+        (RATE, 0.0, -0.5, 400.0, "400 m are out, and reel_shortest_m is 400 m: it does not move"),
+        (TARGET, 950.0, 0.5, 900.0, "900 m are out, and reel_longest_m is 800 m"),
+        (TARGET, 850.0, 0.5, 900.0, ""),  # it comes nearer to what is allowed
+        (TARGET, 850.0, 0.5, 700.0, "850 m is beyond reel_longest_m, 800 m, where it will stop"),
+        (TARGET, 100.0, 0.5, 900.0, "100 m is beyond reel_shortest_m, 400 m, where it will stop"),
+        (TARGET, 500.0, 0.5, 700.0, ""),
+    ],
+)
+def test_what_limits_make_of_a_command_is_told(kind, length_m, rate_m_s, out_m, said):
+    limits = Limits(0.0, 400.0, 800.0)
+    command = ReelCommand(0, 0, kind, ((0.0, length_m, rate_m_s),), limits)
+    words = limited(command, (out_m, 0.0))
+    assert words.startswith(said) and bool(words) == bool(said)
+
+
 OPTIONS = {"reel_rate_limit_m_s": 1.0, "reel_shortest_m": 1.0, "reel_longest_m": 0.0}
 OPTIONS["command_timeout_s"] = 0.0
 HOSTILE = [

@@ -48,7 +48,7 @@ class Component:
 def bridge(tmp_path):
     process = ros_harness.Process(sys.executable, tmp_path, [BRIDGE])
     yield process
-    process.stop(signal.SIGTERM)
+    assert process.stop(signal.SIGTERM) == 0
 
 
 def test_hardware_components_push_satellites_and_move_reels(start, client, bridge):

@@ -1,7 +1,7 @@
 """Thrusters over the middleware: real controllers, real commands, and the same run once more."""
 
 import math
-import subprocess
+import signal
 import sys
 import time
 from dataclasses import replace
@@ -202,7 +202,7 @@ def test_the_example_damps_the_swing_of_six_beads(start, client, tmp_path):
         **given,
     )  # fmt: skip
     example = Path(__file__).parents[2] / "examples" / "damp_six_beads.py"
-    damper = subprocess.Popen([sys.executable, example], cwd=tmp_path)
+    damper = ros_harness.Process(sys.executable, tmp_path, [example])
     try:
         simulator = ros_harness.Simulator(*client)
         simulator.do(StepSimulation, steps=2)  # the controller finds out whom to push
@@ -216,10 +216,10 @@ def test_the_example_damps_the_swing_of_six_beads(start, client, tmp_path):
         )  # fmt: skip
         simulator.play()
         simulator.spin_until(lambda: not process.running, 100.0, "the end of the run")
-        assert process.wait(1) == 0 and damper.poll() is None
+        assert process.wait(1) == 0 and damper.running
+        assert damper.stop(signal.SIGTERM) == 0 and damper.stderr == ""
     finally:
-        damper.terminate()
-        damper.wait(10)
+        damper.kill()
     satellites = np.flatnonzero(setup.system.is_satellite)
     last = round(setup.turn_s / given["publish_period_s"])
     damped = [

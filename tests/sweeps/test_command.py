@@ -63,6 +63,14 @@ def test_a_chart_over_gains_with_other_parameters_than_the_scenarios(tmp_path):
     assert with_others.returncode == 1 and "holds another sweep" in with_others.stderr
 
 
+def test_a_neutral_verdict_says_what_may_grow():
+    done = run(
+        "three_star", "--rates", "-2.9", "-2.9", "1", "--methods", "monodromy",
+        "--override", "reel_damping_n_s_per_m=1000", "reel_stiffness_n_per_m=1e-7",
+    )  # fmt: skip
+    assert "neutral" in done.stdout and "the shape may grow: |rho| is 1.000" in done.stdout
+
+
 def test_the_tether_law_is_varied_and_named(tmp_path):
     done = run(
         "three_star", "--parameter", "tether_law", "--values", "kelvin_voigt", "tension_only",
@@ -172,6 +180,7 @@ def test_what_is_left_out_is_no_failure_and_another_question_than_to_ask_for_it(
         (("thee_star", "--rates", "-3", "-2", "2"), 1, "did you mean 'three_star'?"),
         (("three_star", "five_star"), 2, "own rates are three_star -2.5, five_star -5"),
         (("three_star", "--rates", "-3", "-2", "0"), 2, "COUNT is 0"),
+        (("three_star", "--rates", "nan", "-2", "2"), 2, "--rates are nan to -2; allowed: finite"),
         (("--parameter", "mass", "--values", "1", "--rates", "-3", "-2", "2"), 1, "mass"),
         (("--parameter", "damping_n_s_per_m", "--rates", "-3", "-2", "2"), 2, "--values"),
         (("--parameter", "j2", "--values", "a", "--rates", "-3", "-2", "2"), 2, "--values of j2"),

@@ -396,5 +396,5 @@ def _recording(bag, place, description, beads, tethers):
         raise
     except DAMAGE as error:
         reason = " ".join(str(error).split())
-        raise BagError(f"{bag.shown!r} is no recording of a formation: {reason}") from error
+        raise BagError(f"{bag.shown!r} cannot be read as a formation: {reason}") from error
     return recording

@@ -159,12 +159,15 @@ class CommandTopics:
             self._warn(name, f"command refused: {error}")
 
     def _warn(self, name, text):
-        """Log a warning, unless there was one about this satellite or tether just now."""
-        now = time.monotonic()
-        due, more = self._said.get(name, (-math.inf, 0))
+        """Log a warning, unless there was one about this satellite or tether just now.
+
+        What is refused and what limits make of a command do not keep each other quiet.
+        """
+        now, about = time.monotonic(), (name, text.startswith("command refused"))
+        due, more = self._said.get(about, (-math.inf, 0))
         if now < due:
-            self._said[name] = due, more + 1
+            self._said[about] = due, more + 1
             return
-        self._said[name] = now + QUIET_S, 0
-        before = f"; {more} like it went before" if more else ""
+        self._said[about] = now + QUIET_S, 0
+        before = f"; {more} more about it were not shown" if more else ""
         self._node.get_logger().warning(f"{name}: {text}{before}")

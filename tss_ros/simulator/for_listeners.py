@@ -10,18 +10,20 @@ from tss_ros.core import System
 from tss_ros.messages.steps import FRAME_ID
 from tss_ros.ros.topics import Topic
 from tss_ros.simulator import odometry, sensor_topics
+from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.setup import Setup
 from tss_ros.simulator.trajectory import Sample
 
 
 def check(options: Mapping[str, Any], system: System) -> None:
-    """Check the parameters that ask for it.
+    """Check the parameters that ask for it, and the limits of reels.
 
     Raises
     ------
     TssError
-        If one does not fit the system.
+        If one does not fit the system, or another one.
     """
+    Limits.of(options)
     odometry.check(options["odometry"], system)
     sensor_topics.check(options, system)
 

@@ -49,8 +49,20 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Limits:
-        """Those of a simulator's parameters, by name."""
-        return cls(*(options[parameter.name] for parameter in REEL_LIMITS))
+        """Those of a simulator's parameters, by name.
+
+        Raises
+        ------
+        TssError
+            If the longest length is not above the shortest.
+        """
+        limits = cls(*(options[parameter.name] for parameter in REEL_LIMITS))
+        if 0.0 < limits.longest_m <= limits.shortest_m:
+            raise TssError(
+                f"reel_longest_m is {limits.longest_m:g} m and reel_shortest_m"
+                f" {limits.shortest_m:g} m; allowed: 0, or more than the shortest"
+            )
+        return limits
 
 
 class ReelCommand(NamedTuple):

@@ -115,16 +115,19 @@ def limited(command: ReelCommand, out: tuple[float, float]) -> str:
         Length [m] and rate [m/s] as it comes.
     """
     limits, words = command.limits, []
+    longest_m = limits.longest_m or math.inf
     if command.kind in (LINES, CUBICS):
         return "its profile is kept within the limits of reels" * is_limited(command, *out)
     _, length_m, rate_m_s = command.points[0]
     if abs(rate_m_s) > limits.rate_m_s > 0.0:
         words.append(f"{rate_m_s:g} m/s scaled back to reel_rate_limit_m_s, {limits.rate_m_s:g}")
-    if command.kind == TARGET:
-        within = max(min(length_m, limits.longest_m or math.inf), limits.shortest_m)
-        if within != length_m:
-            name = "reel_shortest_m" if within > length_m else "reel_longest_m"
-            words.append(f"{length_m:g} m is beyond {name}, {within:g} m, where it will stop")
+    outward = rate_m_s > 0.0 if command.kind == RATE else length_m > out[0]
+    end = ("reel_longest_m", longest_m) if outward else ("reel_shortest_m", limits.shortest_m)
+    beyond = out[0] - end[1] if outward else end[1] - out[0]  # already, or where it is to go
+    if beyond >= 0.0 and (command.kind == TARGET or rate_m_s):
+        words.append(f"{out[0]:g} m are out, and {end[0]} is {end[1]:g} m: it does not move")
+    elif command.kind == TARGET and (length_m > end[1] if outward else length_m < end[1]):
+        words.append(f"{length_m:g} m is beyond {end[0]}, {end[1]:g} m, where it will stop")
     return "; ".join(words)
 
 

@@ -33,6 +33,7 @@ from tss_ros.scenarios import scenario
 from tss_ros.scenarios.parameters import REEL_LIMITS, RUN, SCENARIO, TURNS, names, override
 from tss_ros.simulator.checkpoint import make_checkpoint, resume
 from tss_ros.simulator.failures import NS, news
+from tss_ros.simulator.reel_commands import Limits
 from tss_ros.simulator.reel_law import ReelLaw
 from tss_ros.simulator.setup import Setup, declared
 from tss_ros.simulator.simulation import MAX_TIME_S, last_index
@@ -333,6 +334,7 @@ def setup_of(scenario_name: str, overrides: Mapping[str, Any], run: Mapping[str,
     system = loaded.build(overrides)
     given = {p.name: p.check(run[p.name]) for p in RUN}
     given |= {p.name: p.check(run.get(p.name, p.default)) for p in REEL_LIMITS}
+    Limits.of(given)
     ratio = overrides.get("spin_rate_ratio", loaded.spin_rate_ratio)
     said = {"scenario": scenario_name, **overrides, **given}
     happens = declared(loaded, system, given["publish_period_s"])

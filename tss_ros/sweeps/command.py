@@ -88,6 +88,9 @@ def _rate(row, frozen):
     for of, method in ((row, ""), (frozen, "frozen none found: ")):
         if of["verdict"] == "none found" and not _decided(of):
             reasons.setdefault(of["message"].split(";")[0], method)
+    for remark in row["message"].split("; "):
+        if "may grow" in remark:  # a verdict of neutral that is not all there is to say
+            reasons[remark] = ""
     below = [f"\n             {method}{reason}" for reason, method in reasons.items()]
     return f"{words}{_pushing(row)}".rstrip() + "".join(below)
 

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 import sys
 import tempfile
 import time
@@ -184,6 +185,8 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) 
 def read_rates(parser: argparse.ArgumentParser, rates: list[float]) -> tuple[float, float, int]:
     """First, last and how many, from the three numbers of --rates."""
     first, last, count = rates
+    if not (math.isfinite(first) and math.isfinite(last)):
+        parser.error(f"--rates are {first:g} to {last:g}; allowed: finite numbers")
     if not (count == int(count) and 1 <= count <= 1_000_000):
         parser.error(f"COUNT is {count:g}; allowed: whole numbers from 1 to 1000000")
     return first, last, int(count)

@@ -184,7 +184,10 @@ class System(Presented):
         values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
         for name, value in self.law_parameters.items():
             if name not in values:
-                raise TssError(f"{name!r} is no parameter of a law{allowed_words(name, values)}")
+                raise TssError(
+                    f"{name!r} is no parameter of a law that is loaded; laws of one's own are named"
+                    f" by TSS_ROS_LAWS{allowed_words(name, values)}"
+                )
             values[name] = value
         foreign = {p: law for law in TETHER_LAWS for p in law.parameters if law is not self.law}
         for parameter in LAW_PARAMETERS:

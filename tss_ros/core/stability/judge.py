@@ -60,7 +60,7 @@ class Judgement:
             "family": tuple(str(name) for name in family[order]),
             "deciding_modulus": float(abs(multiplier[decided])) if decided >= 0 else math.nan,
             "deciding_family": str(family[decided]) if decided >= 0 else "",
-            "tolerance": float(np.min(self.tolerance)),
+            "tolerance": float(self.tolerance[decided] if decided >= 0 else np.min(self.tolerance)),
         }
 
 

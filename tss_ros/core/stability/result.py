@@ -51,9 +51,10 @@ class FloquetResult(Presented, Stored):
     deciding_family : str
         Family of that multiplier, "" for none.
     tolerance : float
-        Distance from the unit circle that the verdict counts as lying on it. Near 1, within
-        twice the root of the closure residual, where the drift of a damped motion splits Jordan
-        blocks, three times `jordan_error` counts instead, if that is more.
+        Distance from the unit circle within which the multiplier that decided counts as lying on
+        it; the least of all where none decided. Near 1, within twice the root of the closure
+        residual, where the drift of a damped motion splits Jordan blocks, it is three times
+        `jordan_error`, if that is more.
     closure_residual : float
         |x(T) - x(0)| of the motion analysed, positions over the radius, velocities over the rim
         speed.
