@@ -101,6 +101,7 @@ def test_a_figure_is_drawn_from_its_recording_and_not_made_again(run, tmp_path):
     assert {p: p.stat().st_mtime_ns for p in output.rglob("*") if p.is_file()} == files
 
 
+@pytest.mark.long
 def test_what_other_sources_made_is_made_again(tmp_path):
     work = reproduce.Workshop(tmp_path, [])
     work.make(["damping"])
