@@ -123,8 +123,8 @@ def limited(command: ReelCommand, out: tuple[float, float]) -> str:
         words.append(f"{rate_m_s:g} m/s scaled back to reel_rate_limit_m_s, {limits.rate_m_s:g}")
     outward = rate_m_s > 0.0 if command.kind == RATE else length_m > out[0]
     end = ("reel_longest_m", longest_m) if outward else ("reel_shortest_m", limits.shortest_m)
-    beyond = out[0] - end[1] if outward else end[1] - out[0]  # already, or where it is to go
-    if beyond >= 0.0 and (command.kind == TARGET or rate_m_s):
+    at_end = out[0] >= end[1] if outward else out[0] <= end[1]
+    if at_end and (command.kind == TARGET or rate_m_s):
         words.append(f"{out[0]:g} m are out, and {end[0]} is {end[1]:g} m: it does not move")
     elif command.kind == TARGET and (length_m > end[1] if outward else length_m < end[1]):
         words.append(f"{length_m:g} m is beyond {end[0]}, {end[1]:g} m, where it will stop")
